@@ -4,8 +4,9 @@ The environments of the goal sets are stacked where their arrays differ, and eac
 """
 
 import dataclasses
+import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.config import TrainConfig
+from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.runner import memory
-from infogoal_jax.runner.compilation import jit
-from infogoal_jax.runner.sweep import Member, Sweep, batched_hyper, in_several, is_finite, side_by_side
+from infogoal_jax.runner.compilation import chunk_of, jit
+from infogoal_jax.runner.sweep import Member, Programs, Sweep, batched_hyper, is_finite, side_by_side
 from infogoal_jax.train.program import Train
 from infogoal_paper import measure
 from infogoal_paper.manifest import PRESET, Lane, Run
@@ -222,6 +223,69 @@ def fitting(config: TrainConfig, env: Any, count: int) -> int:
     train = make_train(config, env)
     sizes = memory.state_bytes(train), memory.working_bytes(train), memory.bytes_of(env)
     return memory.seeds_at_once(*sizes, count, memory.device_memory(jax.devices()[0]))
+
+
+def stacked(envs: Sequence[Any]) -> tuple[list[jax.Array], list[int | None]]:
+    """The leaves of environments of one shape, and the axis of the environments in each: a leaf that all share is held
+    once, and has none."""
+    leaves, axes = [], []
+    for each in zip(*(jax.tree.leaves(env) for env in envs), strict=True):
+        alike = all(leaf is each[0] or np.array_equal(leaf, each[0]) for leaf in each[1:])
+        axes.append(None if alike else 0)
+        leaves.append(each[0] if alike else jnp.stack(each))
+    return leaves, axes
+
+
+def over_environments(whole: Any, axes: list[int | None], function: Callable, member_axes: tuple) -> Callable:
+    """The function (*member, env) for all members of all environments: (*members, leaves).
+
+    whole: the structure of an environment; axes: of the environments in each of its leaves, as `stacked` gives them;
+    member_axes: of the members of an environment in each argument before it; None for one that all share.
+    """
+
+    def of_one(*arguments):
+        *member, own = arguments
+        env = jax.tree.unflatten(whole, own)
+        return jax.vmap(lambda *each: function(*each, env), in_axes=member_axes)(*member)
+
+    return jax.vmap(of_one, in_axes=(*(None if axis is None else 0 for axis in member_axes), axes))
+
+
+def in_several(train: Train, envs: Sequence[Any], seeds: Sequence[int], hyper: Hyperparameters) -> Programs:
+    """The programs of the same members in each of several environments of one shape, [environments, members].
+
+    Args:
+        envs: whose arrays are stacked where they differ; what is written in them stands for all.
+        seeds: of each member of an environment.
+        hyper: of each member, [environments, members].
+    """
+    leaves, axes = stacked(envs)
+    over, config = functools.partial(over_environments, jax.tree.structure(envs[0]), axes), train.config
+    shape = len(envs), len(seeds)
+    numbered = jnp.broadcast_to(jnp.asarray(list(seeds), jnp.uint32), shape)
+    initial = jit(over(lambda seed, own, env: train.initial(jax.random.key(seed), own, env), (0, 0)))
+    chunk = chunk_of(
+        over(lambda state, numbers, own, env: train.epochs(state, numbers, own, env), (0, None, 0)),
+        over(train.evaluation, (0, 0)),
+    )
+    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32)
+    shapes = jax.eval_shape(initial, numbered, hyper, leaves)
+    room = memory.device_memory(jax.devices()[0])
+
+    def usual():
+        return memory.preset_of(config)
+
+    return Programs(
+        shapes=shapes,
+        initial=lambda: initial(numbered, hyper, leaves),
+        compiling=lambda: chunk.compiling(
+            shapes, numbers, hyper, leaves, check=lambda *found: memory.check_compiled(found, config, usual, room)
+        ),
+        placed=jax.device_put,
+        check=lambda: memory.check_traced(
+            [program.jaxpr for program in chunk.trace(shapes, numbers, hyper, leaves)], config, usual, room
+        ),
+    )
 
 
 def begin(batch: Batch) -> Training:

@@ -19,10 +19,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from infogoal_jax.goal_uses import TEST
-from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import measure
 from infogoal_paper.files import Result
+from infogoal_paper.image_goal_figures import WEIGHTS
 from infogoal_paper.manifest import FETCH, FIXED_BETAS, METHODS, PRESET, fixed
 from infogoal_paper.numbers import Results
 from infogoal_paper.paper import IMAGE_TASKS, TASKS

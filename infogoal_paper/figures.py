@@ -22,12 +22,12 @@ from infogoal_jax.report.canvas import (
     finish_share_axis,
     room_colour,
 )
-from infogoal_jax.report.codes_and_walks import draw_codes, principal_components
+from infogoal_jax.report.codes import draw_codes, principal_components
 from infogoal_jax.report.comparison_figures import COLOURS
 from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, success_within
-from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper.files import Result
+from infogoal_paper.image_goal_figures import WEIGHTS
 from infogoal_paper.manifest import DRAWN, EXTERNAL, FETCH, FIXED_BETAS, PRESET, fixed
 from infogoal_paper.numbers import Results
 from infogoal_paper.paper import title_of

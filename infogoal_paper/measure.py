@@ -17,16 +17,7 @@ from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.report.canvas import Subject
-from infogoal_jax.report.codes_and_walks import (
-    Walk,
-    from_farthest,
-    one_goal_a_region,
-    rewards_of_images,
-    walks_of_policy,
-)
-from infogoal_jax.report.image_goals import WEIGHTS, is_fetch, seen_images, test_goal_episodes
 from infogoal_jax.report.runs import Run as RunInFolder
-from infogoal_jax.report.trajectory_figures import angles_to_goals
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
@@ -34,6 +25,9 @@ from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.sampling import sample
 from infogoal_jax.train.update import update
+from infogoal_paper.image_goal_figures import WEIGHTS, is_fetch, seen_images, test_goal_episodes
+from infogoal_paper.trajectory_figures import angles_to_goals
+from infogoal_paper.walks import Walk, from_farthest, one_goal_a_region, rewards_of_images, walks_of_policy
 
 BATCHES = 8
 """Over which the share of the gradient is a mean."""

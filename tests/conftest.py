@@ -30,7 +30,7 @@ LONGEST_FIRST = (
     "vectors",
     "drawing",
     "every_method",
-    "image_goals",
+    "image_goal_figures",
     "offline",
     "methods_command",
     "parity",

@@ -11,12 +11,12 @@ import numpy as np
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
-from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.runner.search import plan_of
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan
 from infogoal_paper import claims
 from infogoal_paper.files import Result, command_of, recorded_config
+from infogoal_paper.image_goal_figures import WEIGHTS
 from infogoal_paper.manifest import FETCH, STUDIES, Choice, Run, runs_of
 from infogoal_paper.numbers import Results, compact
 from infogoal_paper.paper import IMAGE_TASKS

@@ -130,10 +130,10 @@ def video(
         height: Pixels; the width is 4/3 of it.
     """
     from infogoal_jax.envs.fetch.tasks import TASKS
-    from infogoal_jax.report.video import can_draw, check_path, drawn_video
+    from infogoal_jax.report import video as videos
     from infogoal_jax.runner.compilation import use_compilation_cache
 
-    check_path(out, "out")
+    videos.check_path(out, "out")
     check_seed(seed)
     require(0 < episodes <= 1000, "episodes", episodes, "give 1 to 1000")
     require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
@@ -141,21 +141,13 @@ def video(
     is_run = (Path(subject) / "config.json").exists()
     if is_run or (subject not in TASKS and (Path(subject).exists() or os.sep in subject)):
         from infogoal_jax.report.figures import read_subject
-        from infogoal_jax.report.image_goals import policy_video
-        from infogoal_jax.report.runs import load_run
 
-        loaded = load_run(Path(subject))
-        if can_draw(loaded.env):
-            require(corruption == 0, "corruption", corruption, "goes with image goals; leave it out")
-            reached = drawn_video(loaded.env, loaded.policy(), out, episodes, seed, height)
-            print(f"{out}: {counted(len(reached), 'episode')}; the goal is reached in {sum(reached)}")
-            return 0
         run = read_subject(Path(subject))
-        reached = policy_video(run, out, episodes, seed, corruption, (height, height * 4 // 3))
-        words = f"corrupted with weight {corruption:g}" if corruption else "clean"
+        reached = videos.policy_video(run, out, episodes, seed, corruption, height)
+        words = f"goal images corrupted with weight {corruption:g}; " if corruption else ""
         print(
-            f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed} on test goals, "
-            f"{words}; the goal is reached in {sum(reached)}"
+            f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed}; {words}the goal is "
+            f"reached in {sum(reached)}"
         )
         return 0
     if corruption:
@@ -167,6 +159,7 @@ def video(
     from infogoal_jax.train.evaluation import random_policy
 
     env = envs.load(f"{subject}_positions", FetchConfig(goals="positions", ends_at_goal=False))
-    reached = drawn_video(env, random_policy(env), out, episodes, seed, height)
+    goals = videos.drawn_goals(env, episodes, seed)
+    reached = videos.drawn_video(env, random_policy(env), out, goals, seed, height)
     print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
     return 0

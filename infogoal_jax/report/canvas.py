@@ -19,7 +19,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError, require
@@ -88,21 +87,6 @@ def check_format(path: Path, field: str = "out") -> None:
 def room_colour(region: int) -> str:
     """The colour of a room."""
     return ROOM_COLOURS[region % len(ROOM_COLOURS)]
-
-
-def write_room(axes: Axes, positions: np.ndarray, region: int, name: str, zorder: float) -> None:
-    """Write the name of a room in its colour, in the middle of these positions [M, 2]."""
-    axes.text(
-        *np.median(positions, axis=0),
-        name,
-        color=room_colour(region),
-        fontsize=8,
-        weight="bold",
-        ha="center",
-        va="center",
-        zorder=zorder,
-        path_effects=[withStroke(linewidth=3, foreground="white")],
-    )
 
 
 def in_words(name: str, longest: int = 44) -> str:
@@ -179,15 +163,3 @@ def finish_share_axis(axes: Axes, label: str) -> None:
     axes.set_ylim(-0.02, 1.02)
     axes.set_ylabel(label)
     axes.grid()
-
-
-def share_limits(panels: Iterable[Axes]) -> None:
-    """Give panels that are to be compared the same limits, those of all that is drawn in them, with one unit as long on
-    both axes."""
-    limits = np.array([[axes.get_xlim(), axes.get_ylim()] for axes in panels])
-    low, high = limits[..., 0].min(0), limits[..., 1].max(0)
-    middle, half = (low + high) / 2, (high - low).max() / 2
-    low, high = middle - half, middle + half
-    for axes in panels:
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        axes.set_aspect("equal", adjustable="box")

@@ -31,7 +31,7 @@ from infogoal_jax.report.canvas import (
     room_colour,
     save,
 )
-from infogoal_jax.report.codes_and_walks import representations
+from infogoal_jax.report.codes import representations
 from infogoal_jax.report.goal_space_figures import codes_over_goals, success_over_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, evaluated_masks, load_run, read_params, table_of
 from infogoal_jax.report.task_figures import draw_of_task

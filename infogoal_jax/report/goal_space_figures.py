@@ -19,7 +19,7 @@ from infogoal_jax.report.canvas import (
     new_figure,
     white_mark,
 )
-from infogoal_jax.report.codes_and_walks import codes_of, finish_code_axes, principal_components
+from infogoal_jax.report.codes import codes_of, finish_code_axes, principal_components
 from infogoal_jax.report.runs import evaluated_masks
 
 CELLS = 8

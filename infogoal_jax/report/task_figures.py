@@ -1,20 +1,20 @@
-"""The figures that a task brings, besides those of every run: a line here for each task that has some.
+"""The figures that a task brings, besides those of every run.
 
-A task of your own brings its figures in the same way: `task_figures.registry["my_task"] = draw`.
+A task of your own brings its figures by `task_figures.registry["my_task"] = draw`; those of an installed package are
+entry points of the group `infogoal.figures`, by the names of the tasks.
 """
 
 from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
 
 from matplotlib.figure import Figure
 
 from infogoal_jax import checks
 from infogoal_jax.checked_dict import CheckedDict
-from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
+from infogoal_jax.imports import load
 from infogoal_jax.report.canvas import Subject
-from infogoal_jax.report.house_figures import draw_plans
-from infogoal_jax.report.image_goals import draw_image_goals
-from infogoal_jax.report.shelf_figures import draw_shelves
 
+GROUP = "infogoal.figures"
 Draw = Callable[[Subject], Mapping[str, Figure | None]]
 """(subject) -> figures by the name of their file; None, or no entry, for one that there are no numbers for."""
 
@@ -28,17 +28,12 @@ class Drawers(CheckedDict):
         checks.function(value, f"figures of {name}", 1, "give a function of a subject")
 
 
-registry = Drawers(
-    {
-        "object_search": draw_plans,
-        "object_manipulation": draw_image_goals,
-        "embodied_qa": draw_shelves,
-        **dict.fromkeys(FETCH_TASKS, draw_image_goals),
-    }
-)
+registry = Drawers()
 
 
 def draw_of_task(subject: Subject) -> Mapping[str, Figure | None]:
-    """The figures that the task of this run brings, by name; none for a task that is not in the registry."""
-    draw = registry.get(subject.run.config.task)
-    return {} if draw is None else draw(subject)
+    """The figures that the task of this run brings, by name; none for a task that nobody has figures of."""
+    task, found = subject.run.config.task, {}
+    for draw in [registry[task]] if task in registry else map(load, entry_points(group=GROUP, name=task)):
+        found |= draw(subject)
+    return found

@@ -1,13 +1,15 @@
-"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of Fetch and of tasks
-that draw themselves. No screen and no OpenGL needed."""
+"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of Fetch, of tasks that
+draw themselves and of tasks with image goals. No screen and no OpenGL needed."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import jax
+import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 
@@ -16,13 +18,14 @@ from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.runs import evaluated_masks
+from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
+from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
 
-LAST_PICTURE = 25
-"""The last picture of an episode stays for this many frames: a second."""
 ENDINGS = (".mp4", ".gif")
 COLOURS = 128
 """Of a GIF: one palette for all frames, chosen by eight of them."""
@@ -134,52 +137,127 @@ def frames_in(path: Path) -> int:
     return count
 
 
-def can_draw(env: Any) -> bool:
-    """Whether states of a task can be drawn, and its agent acts in it as it is."""
-    draws = isinstance(env, Fetch) or getattr(type(env), "draw", Environment.draw) is not Environment.draw
-    return env is env.unwrapped and draws
+class Painter(NamedTuple):
+    """What makes a picture uint8 [height, W, 3] of a state, and how many steps a second are."""
+
+    draw: Callable[[Any], np.ndarray]
+    fps: int
 
 
-def painter(env: Any, height: int) -> tuple[Callable[[Any], np.ndarray], int]:
-    """What makes a picture uint8 [height, W, 3] of a state, and pictures a second. It raises `UserError` for a picture
-    of the task's own that is no uint8 [H, W, 3]."""
-    if isinstance(env, Fetch):
-        return lambda state: draw_fetch(env, state, (height, height * 4 // 3)), 25
-    draw = jax.jit(env.draw)
+def painter_of(env: Any, height: int) -> Painter | None:
+    """The painter of a task: of a Fetch robot, of the pictures that the task draws itself, or of the frames that it
+    shows beside goal images; None for a task that cannot be drawn. What it makes raises `UserError` for a picture of
+    the task's own that is no uint8 [H, W, 3]."""
+    inner, width = env.unwrapped, height * 4 // 3
+    robot = getattr(inner, "robot", inner)
 
-    def scaled(state: Any) -> np.ndarray:
-        (frame,) = of_one_size([draw(state)])
-        width = max(round(frame.shape[1] * height / frame.shape[0]), 1)
-        return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
+    def scene(state: Any) -> np.ndarray:
+        state = getattr(state, "inner", state)
+        return draw_fetch(robot, getattr(state, "robot", state), (height, width))
 
-    return scaled, 10
+    def scaled(frame: Any, interpolation: int) -> np.ndarray:
+        (frame,) = of_one_size([frame])
+        size = max(round(frame.shape[1] * height / frame.shape[0]), 1), height
+        return cv2.resize(frame, size, interpolation=interpolation)
+
+    def framed(state: Any) -> np.ndarray:
+        """The frame on the left, beside the room for its goal."""
+        picture = np.full((height, width, 3), 40, np.uint8)
+        frame = scaled(env.render(env.observe(state)), cv2.INTER_CUBIC)[:, :width]
+        picture[:, : frame.shape[1]] = frame
+        return picture
+
+    if isinstance(robot, Fetch):
+        return Painter(scene, 25)
+    if env is inner and getattr(type(env), "draw", Environment.draw) is not Environment.draw:
+        draw = jax.jit(env.draw)
+        return Painter(lambda state: scaled(draw(state), cv2.INTER_NEAREST), 10)
+    return Painter(framed, 3) if has_image_goals(env) else None
 
 
-def drawn_video(env: Any, policy: Policy, path: str | Path, episodes: int, seed: int, height: int) -> list[bool]:
-    """Play episodes of a policy on the task's test goals, or on its training goals where there are none, and write
-    pictures of this height, as `painter` makes them. Returns whether each episode ends at its goal."""
-    policy, reached = jax.jit(policy), []
+def policy_video(
+    subject: Subject, path: str | Path, episodes: int = 1, seed: int = 0, corruption: float = 0.0, height: int = 480
+) -> list[bool]:
+    """Write a video of the trained policy on test goals drawn from the seed, or on training goals where there are none;
+    goals that are images stand in the corner. Returns whether each episode ends at its goal.
+
+    corruption: weight of the backgrounds of the goal images, 0: clean. Raises `UserError` for a run without parameters,
+    or of a task that cannot be drawn.
+    """
+    env, name = subject.train.env, subject.run.name
+    require(episodes > 0, "episodes", episodes, "give at least 1")
+    require(seed >= 0, "seed", seed, "give 0 or more")
+    require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
+    undrawn = f"is of {subject.run.config.task}; videos are of tasks with image goals, or with a draw(state)"
+    require(painter_of(env, height) is not None, "run", name, undrawn)
+    require(subject.params is not None, "run", name, "holds no parameters yet, or every seed diverged; train it first")
+    goals = drawn_goals(env, episodes, seed)
+    policy, seen, images = subject.train.policy(subject.params, subject.run.config.hyper, env), goals, None
+    if has_image_goals(env):
+        images = jit(partial(corrupted_images, num_starts=1, weight=corruption, seed=seed))(env, goals)[:, 0]
+        seen = jit(subject.train.parts.learner.encode)(subject.params["goal"], images)
+    else:
+        require(corruption == 0, "corruption", corruption, "goes with image goals; leave it out")
+    return drawn_video(env, policy, path, goals, seed, height, seen, images)
+
+
+def drawn_goals(env: Any, episodes: int, seed: int) -> np.ndarray:
+    """So many of the task's test goals [E, *shape], drawn from the seed; of its training goals where there are none."""
     masks = evaluated_masks(env.goals)
-    goals = env.goals.evaluated[masks.get("test", masks["train"])]
-    step, observe = jax.jit(env.step), jax.jit(env.observe)
-    picture, fps = painter(env, height)
+    goals = np.asarray(env.goals.evaluated)[masks.get("test", masks["train"])]
+    return goals[np.resize(np.random.default_rng(seed).permutation(len(goals)), episodes)]
+
+
+def drawn_video(
+    env: Any,
+    policy: Policy,
+    path: str | Path,
+    goals: np.ndarray,
+    seed: int,
+    height: int,
+    seen: Any = None,
+    images: np.ndarray | None = None,
+) -> list[bool]:
+    """Play an episode of a policy for each of these goals [E, *shape], and write pictures of this height. Returns
+    whether each ends at its goal.
+
+    seen: what the policy is given of each goal [E, ...]; None: the goals. images: uint8 [E, H, W, C], shown in the
+    corner.
+    """
+    reached, seen = [], goals if seen is None else seen
+    policy, step, observe = jax.jit(policy), jax.jit(env.step), jax.jit(env.observe)
+    draw, fps = painter_of(env, height)
+
+    def states(start: Any, shown: Any, key: jax.Array) -> Iterator[Any]:
+        """Those of an episode, the last one for a second."""
+        yield start
+        state = start
+        for number in range(env.episode_length):
+            one = jax.tree.map(lambda leaf: leaf[None], observe(state))
+            state = step(state, policy(one, shown, jax.random.fold_in(key, number))[0])
+            yield state
+            if state.terminated | state.truncated:
+                break
+        reached.append(bool(env.reached(env.achieved(state), state.goal)))
+        yield from [state] * fps
 
     def frames() -> Iterator[np.ndarray]:
-        for episode in range(episodes):
-            key, goal_key, start_key = jax.random.split(jax.random.fold_in(jax.random.key(seed), episode), 3)
-            goal = jax.random.choice(goal_key, goals)
-            state = env.reset_to(start_key, goal)
-            yield picture(state)
-            for number in range(env.episode_length):
-                one = jax.tree.map(lambda leaf: leaf[None], observe(state))
-                action = policy(one, goal[None], jax.random.fold_in(key, number))[0]
-                state = step(state, action)
-                yield picture(state)
-                if state.terminated | state.truncated:
-                    break
-            reached.append(bool(env.reached(env.achieved(state), goal)))
-            for _ in range(fps):
-                yield picture(state)
+        for episode, goal in enumerate(goals):
+            key, start_key = jax.random.split(jax.random.fold_in(jax.random.key(seed), episode))
+            shown = jax.tree.map(lambda leaf, place=episode: jnp.asarray(leaf[place])[None], seen)
+            for state in states(env.reset_to(start_key, jnp.asarray(goal)), shown, key):
+                picture = draw(state)
+                yield picture if images is None else with_inset(picture, np.asarray(images[episode]))
 
     write_video(path, frames(), fps)
     return reached
+
+
+def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The picture with the goal's image in its upper right corner, in a white frame."""
+    side, gap = max(32, round(0.3 * picture.shape[0])), max(2, picture.shape[0] // 60)
+    picture = picture.copy()
+    picture[gap : side + 3 * gap, -side - 3 * gap : -gap] = 255
+    inset = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+    picture[2 * gap : side + 2 * gap, -side - 2 * gap : -2 * gap] = inset
+    return picture

@@ -107,7 +107,7 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
     line = refused("evaluate run --corruption 0.4 --import my_task.py".split(), capsys)
     assert "goals of my_rooms are not images" in line
     assert main("video run --out episode.gif --height 40 --episodes 2".split()) == 0  # By the task's own `draw`.
-    assert "episode.gif: 2 episodes; the goal is reached in" in capsys.readouterr().out
+    assert "episode.gif: 2 episodes of the policy of seed 0; the goal is reached in" in capsys.readouterr().out
     with Image.open("episode.gif") as video:
         assert video.size == (60, 40) and video.n_frames > 1
     forget()

@@ -22,14 +22,15 @@ from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
 from infogoal_jax.loading import make_train
-from infogoal_jax.report import codes_and_walks, house_figures, task_figures
-from infogoal_jax.report.codes_and_walks import principal_components, representations
+from infogoal_jax.report import task_figures
+from infogoal_jax.report.codes import principal_components, representations
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.runs import diverged_seeds, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
 from infogoal_jax.runner import training
 from infogoal_jax.runs.folder import pack, shipped
+from infogoal_paper import house_figures, walks
 
 SEEDS = [3, 4, 5]
 FIGURES = EVERY_TASKS_FIGURES | {"trajectories", "intrinsic_reward"}
@@ -181,8 +182,8 @@ def test_a_task_of_ones_own_brings_its_figures_in_place_of_those_of_a_name(sweep
     subject, mine = read_subject(sweep.folder, env), Figure()
     monkeypatch.setitem(task_figures.registry, subject.run.config.task, lambda seen: {"mine": mine, "none": None})
     assert task_figures.draw_of_task(subject) == {"mine": mine, "none": None}
-    monkeypatch.delitem(task_figures.registry, subject.run.config.task)
-    assert task_figures.draw_of_task(subject) == {}
+    nobodys = dataclasses.replace(subject.run, config=dataclasses.replace(subject.run.config, task="nobodys"))
+    assert task_figures.draw_of_task(dataclasses.replace(subject, run=nobodys)) == {}
 
 
 def test_house_without_positions_has_no_plans(sweep, env):
@@ -199,7 +200,7 @@ def test_plan_knows_places_and_the_length_of_a_move(env):
 
 def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env):
     subject = read_subject(sweep.folder, env)
-    (reward,), in_view = codes_and_walks.rewards_of_images(subject, [0]), np.asarray(env.in_view)
+    (reward,), in_view = walks.rewards_of_images(subject, [0]), np.asarray(env.in_view)
     np.testing.assert_array_equal(np.isnan(reward), ~in_view.any(1))
     assert np.nanmean(reward) == pytest.approx(-1)
     np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)
@@ -218,7 +219,7 @@ def test_a_reward_that_does_not_go_by_the_image_has_no_figure(sweep, env):
 def test_walks_are_those_of_the_last_evaluation(sweep, env):
     subject = read_subject(sweep.folder, env)
     first_reached = subject.evaluations.last()["first_reached"][0]
-    found = codes_and_walks.walks_of_policy(subject)
+    found = walks.walks_of_policy(subject)
     steps = [
         [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
         for of_goal in found.values()

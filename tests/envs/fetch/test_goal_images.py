@@ -10,7 +10,6 @@ import pytest
 from infogoal_jax import presets
 from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
-from infogoal_jax.envs.fetch import image_goals
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_paper import goal_rendering
@@ -101,10 +100,10 @@ def test_the_object_is_seen_where_the_camera_puts_it(banks):
 @each_task
 def test_goals_depend_on_the_seed_and_on_nothing_else(banks, name):
     task = TASKS[name]
-    positions, uses = image_goals.choose_goals(task, 0)
+    positions, uses = goal_rendering.choose_goals(task, 0)
     np.testing.assert_array_equal(positions, banks[name].positions)
     np.testing.assert_array_equal(uses, banks[name].uses)
-    others, _ = image_goals.choose_goals(task, 1)
+    others, _ = goal_rendering.choose_goals(task, 1)
     in_grid = int((uses == GRID).sum())
     np.testing.assert_array_equal(positions[:in_grid], others[:in_grid])
     assert not (positions[in_grid:] == others[in_grid:]).all(1).any()

@@ -20,8 +20,8 @@ from scipy.sparse.csgraph import connected_components
 
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, white_mark, write_room
-from infogoal_jax.report.codes_and_walks import (
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, white_mark
+from infogoal_paper.walks import (
     PATH,
     STEP_COLOURS,
     Walk,
@@ -32,6 +32,7 @@ from infogoal_jax.report.codes_and_walks import (
     rewards_of_images,
     tells_images_apart,
     walks_of_policy,
+    write_room,
 )
 
 ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]

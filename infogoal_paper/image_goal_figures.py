@@ -1,26 +1,21 @@
-"""Tasks whose goals are images: episodes of a trained policy on clean or corrupted goals, the video of them, and
-figures of the goals (paper, Fig. 6) and of their codes with the policy's ways under corruption (Fig. 9)."""
+"""Tasks whose goals are images: episodes of a trained policy on clean or corrupted goals, figures of the goals (paper,
+Fig. 6), and of their codes with the policy's ways under corruption (Fig. 9)."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-import cv2
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from infogoal_jax.envs.fetch.image_goals import ImageGoals
-from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
-from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import corrupt, draw_backgrounds
-from infogoal_jax.report.canvas import Subject, empty_figure, new_figure, share_limits
-from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, principal_components
-from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
-from infogoal_jax.report.video import LAST_PICTURE, write_video
+from infogoal_jax.report.canvas import Subject, empty_figure, new_figure
+from infogoal_jax.report.codes import code_legend, draw_codes, principal_components
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.episodes import Episodes
 from infogoal_jax.train.evaluation import (
@@ -32,9 +27,8 @@ from infogoal_jax.train.evaluation import (
     run_side_by_side,
 )
 from infogoal_jax.train.rollout import Policy
+from infogoal_paper.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 
-PICTURES_A_FRAME = 8
-"""How often each frame of a walk is shown: about three steps a second."""
 WEIGHTS = (0.1, 0.2, 0.4, 0.8)
 """Of the backgrounds, in the paper's figures [P]."""
 EXAMPLES, EXAMPLE_SEED = 2, 0
@@ -92,82 +86,6 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
         return [jax.tree.map(lambda leaf, view=view: leaf[view, :, 0], found) for view in range(len(views))]
 
     return jax.device_get(run(subject.params, subject.train.env))
-
-
-def policy_video(
-    subject: Subject,
-    path: str | Path,
-    episodes: int = 1,
-    seed: int = 0,
-    corruption: float = 0.0,
-    size: tuple[int, int] = (480, 640),
-) -> list[bool]:
-    """Write a video of the trained policy on test goals drawn from the seed, each goal's image in the corner; whether
-    each goal was reached.
-
-    corruption: weight of the backgrounds of the images, 0: clean. Raises `UserError` for a run without parameters, or
-    of a task without image goals.
-    """
-    env = subject.train.env
-    require(episodes > 0, "episodes", episodes, "give at least 1")
-    require(seed >= 0, "seed", seed, "give 0 or more")
-    require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    if not has_image_goals(env):
-        raise UserError(
-            f"run = {subject.run.name!r}: is of {subject.run.config.task}; videos are of tasks with image goals, or "
-            "with a draw(state)"
-        )
-    if subject.params is None:
-        raise UserError(f"run = {subject.run.name!r}: holds no parameters yet, or every seed diverged; train it first")
-    if "test" not in env.goals.groups:
-        raise UserError(
-            f"run = {subject.run.name!r}: its goal images have no test goals to show; give others with "
-            "--env.goal-images"
-        )
-    which = np.resize(
-        np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes
-    )
-    images, outcomes = seen_images(env, which, corruption, seed), []
-
-    def frames():
-        (found,) = policy_episodes(subject, which, [corruption], seed)
-        outcomes.extend(found.success.tolist())
-        for episode, (steps, image) in enumerate(zip(found.steps, images, strict=True)):
-            for step in range(steps + 1):
-                observation = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
-                picture = with_inset(draw_observation(env, observation, size), image)
-                for _ in range(1 if is_fetch(env) else PICTURES_A_FRAME):
-                    yield picture
-            for _ in range(LAST_PICTURE):
-                yield picture
-
-    write_video(path, frames())
-    return outcomes
-
-
-def draw_observation(env: Any, observation: Any, size: tuple[int, int]) -> np.ndarray:
-    """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as
-    it fits, on the left."""
-    if is_fetch(env):
-        return draw_fetch(env.unwrapped.robot, observation, size)
-    frame = np.asarray(env.render(observation))
-    scale = min(size[0] / frame.shape[0], size[1] / frame.shape[1])
-    frame = cv2.resize(
-        frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC
-    )
-    picture = np.full((*size, 3), 40, np.uint8)
-    picture[: frame.shape[0], : frame.shape[1]] = frame
-    return picture
-
-
-def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The picture with the goal's image in its upper right corner, in a white frame."""
-    side, gap = max(32, round(0.3 * picture.shape[0])), max(2, picture.shape[0] // 60)
-    inset = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
-    picture = picture.copy()
-    picture[gap : side + 3 * gap, -side - 3 * gap : -gap] = 255
-    picture[2 * gap : side + 2 * gap, -side - 2 * gap : -2 * gap] = inset
-    return picture
 
 
 def test_goal_episodes(subject: Subject) -> tuple[np.ndarray, list[Episodes]]:
@@ -279,3 +197,15 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
     for axes, entries in zip(panels[:, -1], legends, strict=True):
         axes.legend(handles=entries, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def share_limits(panels: Iterable[Axes]) -> None:
+    """Give panels that are to be compared the same limits, those of all that is drawn in them, with one unit as long on
+    both axes."""
+    limits = np.array([[axes.get_xlim(), axes.get_ylim()] for axes in panels])
+    low, high = limits[..., 0].min(0), limits[..., 1].max(0)
+    middle, half = (low + high) / 2, (high - low).max() / 2
+    low, high = middle - half, middle + half
+    for axes in panels:
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axes.set_aspect("equal", adjustable="box")

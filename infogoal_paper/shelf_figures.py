@@ -15,32 +15,20 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from infogoal_jax.envs.embodied_qa import EmbodiedQA
-from infogoal_jax.report.canvas import (
-    FAILURE,
-    NOTHING,
-    SUCCESS,
-    Subject,
-    new_figure,
-    room_colour,
-    white_mark,
-    write_room,
-)
-from infogoal_jax.report.codes_and_walks import (
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour, white_mark
+from infogoal_jax.report.codes import code_legend, codes_of, draw_codes, finish_code_axes, principal_components
+from infogoal_paper.walks import (
     PATH,
     STEP_COLOURS,
     Walk,
-    code_legend,
-    codes_of,
-    draw_codes,
-    finish_code_axes,
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
-    principal_components,
     reward_scale,
     rewards_of_images,
     tells_images_apart,
     walks_of_policy,
+    write_room,
 )
 
 MOST_PANELS, LONGEST_NAME = 8, 72

@@ -21,10 +21,12 @@ from infogoal_drone import figures as flight
 from infogoal_drone.records import NAME
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import codes_and_walks, figures, house_figures, image_goals, shelf_figures, trajectory_figures
+from infogoal_jax.report import figures
 from infogoal_jax.report.summary import print_run
+from infogoal_jax.report.video import policy_video
 from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED
+from infogoal_paper import house_figures, image_goal_figures, shelf_figures, trajectory_figures, walks
 
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
 SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_reward"}
@@ -103,7 +105,7 @@ def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
     """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
     env, data = pose_subject.train.env, hand_made_frames.arm()
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))
-    (episodes,) = image_goals.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
+    (episodes,) = image_goal_figures.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
     rotation = Rotation.from_matrix(data.rotation)
     for goal, frames, steps, success, angle in zip(
         goals,
@@ -127,27 +129,25 @@ def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart():
     assert apart.shape == (3, 3) and (apart[~np.eye(3, dtype=bool)] > 20).all()
     regions = np.asarray(env.goals.regions)
     mask = np.isin(np.arange(env.goals.num_goals), [np.flatnonzero(regions == region)[0] for region in range(3)])
-    chosen = image_goals.spread_goals(env.goals, mask, 2, apart)
+    chosen = image_goal_figures.spread_goals(env.goals, mask, 2, apart)
     assert regions[chosen].tolist() == [0, int(apart[0].argmax())]
 
 
 @pytest.mark.long
 def test_a_policy_that_turns_an_object_becomes_a_video(pose_subject, tmp_path):
     """Its frames with the goal's image in the corner."""
-    reached = image_goals.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
+    reached = policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, height=72)
     video, count, first = cv2.VideoCapture(str(tmp_path / "poses.mp4")), 0, None
     while (read := video.read())[0]:
         first, count = read[1] if first is None else first, count + 1
-    assert len(reached) == 2 and first.shape == (64, 96, 3)
-    assert (count - 2 * 25) % image_goals.PICTURES_A_FRAME == 0 and 2 <= (
-        count - 2 * 25
-    ) // image_goals.PICTURES_A_FRAME <= 2 * 13
+    assert len(reached) == 2 and first.shape == (72, 96, 3)
+    assert 2 * (2 + 3) <= count <= 2 * (13 + 3)  # Its steps, and the last picture for a second.
 
 
 @pytest.mark.long
 def test_a_task_whose_goals_are_texts_has_no_video(shelf_subject, tmp_path):
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
-        image_goals.policy_video(shelf_subject, tmp_path / "flights.mp4")
+        policy_video(shelf_subject, tmp_path / "flights.mp4")
 
 
 @pytest.mark.long
@@ -161,7 +161,7 @@ def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject):
         shelf_subject, train=dataclasses.replace(shelf_subject.train, env=env.replace(position=env.position * jnp.nan))
     )
     assert shelf_figures.draw_shelves(unknown) == house_figures.draw_plans(shelf_subject) == {}
-    assert image_goals.draw_image_goals(shelf_subject) == {}
+    assert image_goal_figures.draw_image_goals(shelf_subject) == {}
 
 
 @pytest.mark.long
@@ -179,7 +179,7 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
     goal = int(env.goals.training_goals[0])
     (reward,), (of_image,) = (
         shelf_figures.rewards_of_places(shelf_subject, shelf, [goal]),
-        codes_and_walks.rewards_of_images(shelf_subject, [goal]),
+        walks.rewards_of_images(shelf_subject, [goal]),
     )
     np.testing.assert_allclose(reward[shelf.place], of_image)
     np.testing.assert_array_equal(np.isnan(of_image), (np.asarray(env.achieved_goals) < 0).all(1))
@@ -193,7 +193,7 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
 @pytest.mark.long
 def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     """Goal by goal, though most of the goals of training are never evaluated."""
-    env, found = shelf_subject.train.env, codes_and_walks.walks_of_policy(shelf_subject)
+    env, found = shelf_subject.train.env, walks.walks_of_policy(shelf_subject)
     assert list(found) == np.asarray(env.goals.evaluated).tolist()
     steps = [
         [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
@@ -202,17 +202,13 @@ def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     np.testing.assert_array_equal(steps, shelf_subject.evaluations.last()["first_reached"][0])
     in_view = np.asarray(env.in_view)
     assert all(in_view[walk.nodes[-1], goal] == walk.success for goal, of_goal in found.items() for walk in of_goal)
-    assert all(
-        walk.shortest <= codes_and_walks.from_farthest(of_goal).shortest
-        for of_goal in found.values()
-        for walk in of_goal
-    )
+    assert all(walk.shortest <= walks.from_farthest(of_goal).shortest for of_goal in found.values() for walk in of_goal)
 
 
 @pytest.mark.long
 def test_codes_beside_flights_leave_out_validation_questions(shelf_subject):
     """Names, training and test questions have a mark each: what the learner knows, and what is asked of it."""
-    shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), codes_and_walks.walks_of_policy(shelf_subject)
+    shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), walks.walks_of_policy(shelf_subject)
     figure = shelf_figures.codes_and_trajectories(shelf_subject, shelf, found)
     labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
     assert {
