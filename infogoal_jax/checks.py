@@ -270,5 +270,5 @@ def not_forked() -> None:
         raise UserError(
             "fork: this process is a copy of one in which JAX has started, whose threads it lacks: it would wait for "
             'them without end; give context="spawn" (AsyncVectorEnv(..., context="spawn")), or step a batch as one '
-            "program: infogoal_jax.bridges.gymnasium.FetchVector or TaskVector, which gymnasium.make_vec makes"
+            "program: infogoal_jax.bridges.gymnasium.TaskVector, which gymnasium.make_vec makes"
         )

@@ -523,7 +523,7 @@ CALLS = {
         {name: lambda value: str(value) == "[[0, 2]]" and not isinstance(value, str) for name in REWARDED},
     ),
     "compute_reward of Fetch": Call(
-        gymnasium.FetchGymnasium("fetch_reach").compute_reward,
+        gymnasium.TaskGymnasium("fetch_reach").compute_reward,
         {"achieved_goal": np.zeros((1, 3)), "desired_goal": np.ones((1, 3)), "info": {}},
         {name: never for name in REWARDED},
     ),
@@ -534,8 +534,8 @@ CALLS = {
     ),
     "TaskGymnasium": Call(
         gymnasium.TaskGymnasium,
-        {"task": ENV, "config": None, "render_mode": None, "timed": True},
-        {"task": lambda value: value is ENV, "config": none, "render_mode": none, "timed": flag},
+        {"task": ENV, "config": None, "render_mode": None, "reward_type": "sparse", "timed": True},
+        {"task": lambda value: value is ENV, "config": none, "render_mode": none, "reward_type": never, "timed": flag},
     ),
     "TaskVector": Call(
         gymnasium.TaskVector,
@@ -545,11 +545,6 @@ CALLS = {
             "num_envs": lambda value: whole(value, 1, 2**20),
             "max_episode_steps": lambda value: none(value) or (whole(value, -1, 2**31 - 1) and value != 0),
         },
-    ),
-    "FetchGymnasium": Call(
-        gymnasium.FetchGymnasium,
-        {"task": "fetch_reach", "config": None, "render_mode": None, "reward_type": "sparse"},
-        {"task": never, "config": none, "render_mode": none, "reward_type": never},
     ),
     "FetchBrax": Call(
         brax.FetchBrax,

@@ -1,11 +1,15 @@
-"""The tasks as Gymnasium goal environments. The Fetch tasks stand here, with the spaces, rewards and infos of
-Gymnasium-Robotics' FetchReach-v4 and its like; the others in gymnasium_tasks.py.
+"""The tasks as Gymnasium goal environments, those of the package and a user's own. `make` gives one environment on the
+CPU, `TaskVector` a batch on whatever device jax uses. Importing this module registers the package's tasks:
+`gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
 
-`make` gives one environment on the CPU, `FetchVector` and `TaskVector` a batch on whatever device jax uses. Importing
-this module registers them: `gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra
-`gymnasium`.
+A goal that is a vector is itself. One of a finite set is an entry of a vector of bits: `desired_goal` has one that is
+set, `achieved_goal` those of the goals that are achieved now: the desired one where it is reached, and of the others
+those that may be known while training (no validation or test question of embodied question answering). Hindsight
+relabelling may therefore put one in place of the other. The Fetch tasks have the rewards and episodes of
+Gymnasium-Robotics' FetchReach-v4 and its like.
 """
 
+import contextlib
 import copy
 import dataclasses
 from typing import Any
@@ -15,22 +19,475 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks, envs
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import environment
-from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
+from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.field_types import checked
+from infogoal_jax.field_types import LARGEST_WHOLE, checked
+from infogoal_jax.goals import is_goal, no_goals_like, select
 
 try:
     import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise UserError("gymnasium: is not installed; pip install 'infogoal-jax[gymnasium]'") from error
 
-from infogoal_jax.bridges.gymnasium_base import Batch, One, copied, key_of, on_cpu, options_of, with_limit
-from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
-
 REWARD_TYPES = ("sparse", "dense")
-"""The reference's rewards: 0 at the goal and -1 elsewhere, or minus the distance in m."""
+"""0 at the goal and -1 elsewhere, or minus the distance."""
+FARTHEST, LARGEST = 10.0, 50.0
+"""No position (m) and no number of an observation of Fetch gets beyond these unless the simulation has diverged, and
+then the step is taken back."""
+METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
+
+
+def with_limit(env: Any, max_episode_steps: int | None, timed: bool, default: int) -> Any:
+    """The environment with the time limit that counts, of which Gymnasium is the owner where it made the environment.
+
+    timed: False where `gymnasium.make` puts its own `TimeLimit` around, whose number is then the only one; the
+    environment has none. max_episode_steps: of a batch, which Gymnasium does not wrap; -1, as in Gymnasium, for none.
+    default: the task's own length. Raises `UserError` for a configuration that asks for another one than Gymnasium.
+    """
+    timed, length = checks.flag(timed, "timed"), env.episode_length
+    if max_episode_steps is not None:
+        steps = checks.whole(max_episode_steps, "max_episode_steps", -1, LARGEST_WHOLE)
+        require(steps != 0, "max_episode_steps", steps, "give a whole number from 1 on, or -1 for no limit")
+    if timed and max_episode_steps is None:
+        return env
+    if length not in (default, max_episode_steps):
+        given = "" if max_episode_steps is None else f", max_episode_steps = {max_episode_steps}"
+        raise UserError(
+            f"config.episode_length = {length}{given}: two limits; give max_episode_steps={length} to Gymnasium and "
+            f"leave the configuration's at {default}, or call infogoal_jax.bridges.gymnasium.make"
+        )
+    return env.replace(episode_length=LARGEST_WHOLE if max_episode_steps in (None, -1) else steps)
+
+
+def key_of(generator: np.random.Generator) -> jax.Array:
+    """A PRNG key drawn from Gymnasium's generator."""
+    return jax.random.key(int(generator.integers(2**31)))
+
+
+def on_cpu() -> contextlib.AbstractContextManager:
+    """Run the block on the CPU: a single robot is faster there than on an accelerator."""
+    if jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # jax was told to use the accelerator only.
+        return contextlib.nullcontext()
+
+
+def copied(parts: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Copies of what is seen, which users may keep."""
+    return {name: np.array(part) for name, part in parts.items()}
+
+
+def load(task: str | Environment, config: Any) -> Environment:
+    """The task of this name, or the environment itself; a Fetch task with positions as goals, whose episodes by default
+    go on at the goal. Raises `UserError` for one whose goals form a finite set and whose actions are vectors."""
+    checks.not_forked()
+    if isinstance(task, Environment):
+        require(config is None, "config", config, "leave it out: the environment has one of its own")
+        env = task
+    elif isinstance(task, str) and task in TASKS:
+        fits = config is None or isinstance(config, FetchConfig)
+        require(fits, "config", config, "give a FetchConfig, or leave it out for the reference's episodes")
+        config = FetchConfig(ends_at_goal=False) if config is None else checked(config, "config.")
+        env = environment.with_positions(environment.make(task, config), config.held_out)
+    else:
+        env = envs.load(task, config)
+    remedy = "its goals form a finite set, and its actions are vectors; give object_search or point_maze, for example"
+    require(env.discrete or not env.goals.finite, "task", task, remedy)
+    return env
+
+
+def shown_observation(env: Environment, state: Any) -> jax.Array:
+    """The observation: a vector as the task has it, anything else as a network sees it."""
+    stored = env.observe(state)
+    is_vector = isinstance(stored, jax.Array) and stored.dtype == jnp.float32
+    return stored if is_vector else env.render(stored)
+
+
+def seen(env: Environment, state: Any) -> dict[str, jax.Array]:
+    """The observation, and the goals as bits int8 [N], or as the vectors that they are, float32 [D]."""
+    record, observation = env.achieved(state), shown_observation(env, state)
+    if not env.goals.finite:
+        return {"observation": observation, "achieved_goal": env.goals_of(record)[0], "desired_goal": state.goal}
+    goals, bits = env.goals_of(record), jnp.zeros(env.goals.num_goals, jnp.int8)
+    achieved = bits.at[jnp.where(goals < 0, env.goals.num_goals, goals)].set(1, mode="drop")
+    return {
+        "observation": observation,
+        # `goals_of` may leave out the desired goal where it is reached: a test question, a pose within 10 degrees.
+        "achieved_goal": achieved.at[state.goal].set(env.reached(record, state.goal).astype(jnp.int8)),
+        "desired_goal": bits.at[state.goal].set(1),
+    }
+
+
+@jax.jit
+def start(env: Environment, key: jax.Array, goal: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+    """The state of a new episode and what is seen of it. goal: "no goal" for one drawn among the training goals."""
+    drawn_key, start_key = jax.random.split(key)
+    space = env.goals
+    drawn = jax.random.choice(drawn_key, space.training_goals) if space.finite else space.draw(drawn_key)
+    state = env.reset_to(start_key, select(is_goal(goal), goal, drawn))
+    return state, seen(env, state)
+
+
+@jax.jit
+def move(env: Environment, state: Any, action: jax.Array) -> tuple[Any, dict[str, jax.Array], jax.Array]:
+    """The next state, what is seen of it, and which actions can be taken in it, bool [A]."""
+    state = env.step(state, action)
+    return state, seen(env, state), env.action_mask(env.observe(state))
+
+
+@jax.jit
+def start_all(env: Environment, keys: jax.Array, goals: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+    """`start` for a batch."""
+    return jax.vmap(start, in_axes=(None, 0, 0))(env, keys, goals)
+
+
+@jax.jit
+def move_all(env: Environment, states: Any, actions: jax.Array, keys: jax.Array):
+    """`move` for a batch, in which episodes that had ended start anew; and which these are."""
+
+    def one(state, action, key):
+        ended = state.terminated | state.truncated
+        fresh, _ = start(env, key, no_goals_like(state.goal))
+        state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, env.step(state, action))
+        return state, seen(env, state), env.action_mask(env.observe(state)), ended
+
+    return jax.vmap(one)(states, actions, keys)
+
+
+def spaces_of(env: Environment) -> tuple[gymnasium.spaces.Dict, gymnasium.Space]:
+    """The observation and action space of one environment. What is achieved may lie beyond the corners of desired
+    goals."""
+    shown = jax.eval_shape(lambda key: shown_observation(env, env.reset(key)), jax.random.key(0))
+    farthest, largest = (FARTHEST, LARGEST) if isinstance(env, Fetch) else (np.inf, np.inf)
+    low, high = (0, 255) if shown.dtype == jnp.uint8 else (-largest, largest)
+    if env.goals.finite:
+        achieved = desired = gymnasium.spaces.MultiBinary(env.goals.num_goals)
+    else:
+        achieved = gymnasium.spaces.Box(-farthest, farthest, env.goals.shape, np.float32)
+        desired = gymnasium.spaces.Box(np.asarray(env.goals.low), np.asarray(env.goals.high), dtype=np.float32)
+    spaces = {
+        "observation": gymnasium.spaces.Box(low, high, shown.shape, shown.dtype),
+        "achieved_goal": achieved,
+        "desired_goal": desired,
+    }
+    one = (env.action_size,)
+    actions = gymnasium.spaces.Discrete(one[0]) if env.discrete else gymnasium.spaces.Box(-1.0, 1.0, one, np.float32)
+    return gymnasium.spaces.Dict(spaces), actions
+
+
+def vectors(env: Environment, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Goals [..., D] as float32. Raises `UserError` for other shapes, and for numbers that are not finite: these are
+    neither near nor far."""
+    (size,) = env.goals.shape
+    given = {"achieved_goal": achieved, "desired_goal": desired}
+    achieved, desired = (
+        checks.as_float32(checks.array(goals, field, "numbers", (..., size)), field) for field, goals in given.items()
+    )
+    require_alike(achieved, desired, f"give goals [..., {size}] of one shape")
+    return achieved, desired
+
+
+def require_alike(achieved: np.ndarray, desired: np.ndarray, remedy: str) -> None:
+    """Raise `UserError` for goals of two shapes."""
+    found = f"of shape {achieved.shape}, desired_goal of {desired.shape}"
+    require(achieved.shape == desired.shape, "achieved_goal", found, remedy)
+
+
+def at_goal(env: Environment, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """Whether desired goals [..., D] are achieved, bool [...]: vectors, or bits of a finite set. Raises `UserError` for
+    other shapes, and for numbers that are not finite."""
+    if env.goals.finite:
+        return among(achieved, desired, env.goals.num_goals)
+    achieved, desired = vectors(env, achieved, desired)
+    size = achieved.shape[-1]
+    rows = achieved.size // size
+    # Hindsight relabelling asks for batches of many sizes: each power of two is compiled once.
+    padding = [(0, (1 << max(rows - 1, 0).bit_length()) - rows), (0, 0)]
+    pairs = (np.pad(goals.reshape(rows, size), padding) for goals in (achieved, desired))
+    with on_cpu():
+        return np.asarray(reached_in_rows(env, *pairs))[:rows].reshape(achieved.shape[:-1])
+
+
+@jax.jit
+def reached_in_rows(env: Environment, achieved: jax.Array, desired: jax.Array) -> jax.Array:
+    """Whether each of M achieved goals [M, D] reaches the desired one beside it, bool [M]."""
+    return env.reached(achieved, desired)
+
+
+def among(achieved: np.ndarray, desired: np.ndarray, num_goals: int) -> np.ndarray:
+    """Whether a desired goal is among those that are achieved, bool [...], for bits [..., N]. Raises `UserError` for
+    other shapes, and for another number of goals N."""
+    bits = {}
+    for field, given in {"achieved_goal": achieved, "desired_goal": desired}.items():
+        flags = isinstance(given, np.ndarray) and given.dtype == bool
+        bits[field] = np.asarray(checks.array(given, field, "flags" if flags else "numbers", (..., num_goals)))
+        require(np.isin(bits[field], (0, 1)).all(), field, given, f"give bits [..., {num_goals}], each 0 or 1")
+    achieved, desired = bits["achieved_goal"], bits["desired_goal"]
+    require_alike(achieved, desired, f"give bits [..., {num_goals}] of one shape")
+    return ((achieved > 0) & (desired > 0)).any(-1)
+
+
+def goal_of(env: Environment, options: Any, num_envs: int = 0) -> np.ndarray:
+    """The goal that `options` asks for, a vector or the number or name of one of a finite set; "no goal" for none. Of a
+    batch goals [num_envs, *shape], which may be given one by one. Raises `UserError` for other options, and for a goal
+    that cannot be evaluated."""
+    require(options is None or isinstance(options, dict), "options", options, 'give {"goal": ...}, or leave them out')
+    unknown = sorted(map(str, set(options or {}) - {"goal"}))
+    require(not unknown, "options", unknown, 'only "goal" is known')
+    space, axes, field = env.goals, (num_envs,) if num_envs else (), 'options["goal"]'
+    if not options:
+        return np.broadcast_to(no_goals_like(np.zeros(space.shape, space.dtype)), (*axes, *space.shape))
+    given = options["goal"]
+    listed = isinstance(given, list | tuple | np.ndarray) and len(given) > 0
+    several = bool(axes) and listed and (space.finite or isinstance(given[0], list | tuple | np.ndarray))
+    goal = np.asarray(space.checked(given, field, axes=int(several)))
+    require(not several or len(goal) == num_envs, field, f"of shape {np.shape(goal)}", f"give one, or {num_envs}")
+    if space.finite:
+        remedy = "give the number or the name of an evaluated goal (env.goals)"
+        require(bool(np.isin(goal, np.asarray(space.evaluated)).all()), field, given, remedy)
+    return np.broadcast_to(goal, (*axes, *space.shape))
+
+
+def action_of(env: Environment, action: Any, field: str, axes: tuple[int, ...] = ()) -> jax.Array:
+    """Actions with these axes, int32, or vectors float32 that the task clips. Raises `UserError` for others."""
+    if env.discrete:
+        most = env.action_size - 1
+        if not axes:
+            return jnp.asarray(checks.whole(action, field, 0, most, f"give 0 to {most}"), jnp.int32)
+        remedy = f"give {axes[0]} whole numbers from 0 to {most}"
+        given = np.asarray(checks.array(action, field, "whole numbers", axes, remedy))
+        require(bool(((given >= 0) & (given <= most)).all()), field, action, remedy)
+        return jnp.asarray(given, jnp.int32)
+    shape = (*axes, env.action_size)
+    remedy = f"give {' x '.join(map(str, shape))} numbers in [-1, 1]"
+    return jnp.asarray(checks.array(action, field, "numbers", shape, remedy), jnp.float32)
+
+
+def told(env: Environment, shown: dict[str, np.ndarray], state: Any, mask: jax.Array) -> dict[str, np.ndarray]:
+    """What `info` tells after a step of one environment, or of each of a batch."""
+    info = {"is_success": at_goal(env, shown["achieved_goal"], shown["desired_goal"]).astype(float)}
+    if env.discrete:
+        info["action_mask"] = np.array(mask, np.int8)
+    if not env.goals.finite:
+        info["diverged"] = np.array(state.diverged)
+    return info
+
+
+def default_length(task: str | Environment) -> int:
+    """The task's own number of steps, which a configuration may change."""
+    return task.episode_length if isinstance(task, Environment) else envs.registry.entry(task).config().episode_length
+
+
+def picture(env: Environment, state: Any, image: np.ndarray) -> np.ndarray:
+    """The scene of a Fetch task, or what the agent sees as RGB, uint8 [H, W, 3]. Raises `UserError` where it sees no
+    image."""
+    if isinstance(env, Fetch):
+        from infogoal_jax.envs.fetch.scene import draw_fetch
+
+        return draw_fetch(env, state)
+    require(image.dtype == np.uint8, "render_mode", "rgb_array", "the agent sees no images in this task; leave it out")
+    return np.array(np.broadcast_to(image, (*image.shape[:2], 3)))
+
+
+class Refusing(gymnasium.spaces.Dict):
+    """A space that raises `checks.not_forked` when it is compared. Workers compare spaces first, and hand that error to
+    their parent; what is raised while an environment is made they lose."""
+
+    __hash__ = None
+
+    def __eq__(self, other: Any) -> bool:
+        checks.not_forked()
+        return super().__eq__(other)
+
+
+class OfTask:
+    """What one environment and a batch of them share."""
+
+    metadata = METADATA
+    env: Environment
+    """The task."""
+    state: Any
+    """The state of the episode, or of those of the batch; None before the first reset."""
+    shown: dict[str, np.ndarray]
+    """What was seen last."""
+
+    def begin(self, env: Environment, render_mode: Any, reward_type: Any) -> None:
+        """Hold the task, whose first episode is yet to come. Raises `UserError` for a mode or a reward that does not
+        exist."""
+        known = render_mode is None or (isinstance(render_mode, str) and render_mode in METADATA["render_modes"])
+        require(known, "render_mode", render_mode, 'give "rgb_array" or None')
+        fits = isinstance(reward_type, str) and reward_type in REWARD_TYPES
+        require(fits, "reward_type", reward_type, f"give one of {', '.join(REWARD_TYPES)}")
+        dense = reward_type == "dense"
+        require(not (dense and env.goals.finite), "reward_type", reward_type, "goals have no distance; give sparse")
+        self.env, self.render_mode, self.reward_type, self.state = env, render_mode, reward_type, None
+        if isinstance(env, Fetch):
+            self.metadata = self.metadata | {"render_fps": 25}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """Seed Gymnasium's generator. Raises `UserError` for what is no seed."""
+        return super().reset(seed=None if seed is None else checks.whole(seed, "seed", 0))
+
+    def check_begun(self, call: str) -> None:
+        """Raise `UserError` before the first reset."""
+        require(self.state is not None, "state", None, f"call reset() before {call}()")
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """0 at the goal and -1 elsewhere, or minus the distance, float32 [...], for goals [..., N]; what hindsight
+        relabelling calls."""
+        if self.reward_type == "sparse":
+            return at_goal(self.env, achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
+        achieved, desired = vectors(self.env, achieved_goal, desired_goal)
+        return -np.linalg.norm(achieved - desired, axis=-1)
+
+    def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """Whether these goals would have ended the episode, bool [...]."""
+        return at_goal(self.env, achieved_goal, desired_goal) & self.env.ends_at_goal
+
+    def rewards(self, is_success: np.ndarray) -> np.ndarray:
+        """The rewards of what was seen last."""
+        if self.reward_type == "sparse":
+            return is_success - 1.0
+        return self.compute_reward(self.shown["achieved_goal"], self.shown["desired_goal"], {})
+
+
+class TaskGymnasium(OfTask, gymnasium.Env):
+    """One environment. An episode is terminated at the goal, where the task ends there, and truncated after the task's
+    number of steps.
+
+    `info`: `is_success` 0.0 or 1.0; `action_mask` int8 [A], where actions are moves, those that can be taken next;
+    `diverged`, where goals are vectors: the step led to numbers that are not finite, and was taken back.
+
+    It says what is wrong once it is used in a process that was forked from one in which JAX had started, such as a
+    worker of Gymnasium's `AsyncVectorEnv`: nothing could be computed there.
+    """
+
+    def __init__(
+        self,
+        task: str | Environment,
+        config: Any = None,
+        render_mode: str | None = None,
+        reward_type: str = "sparse",
+        timed: bool = True,
+    ):
+        """reward_type: "sparse", or "dense" for minus the distance. timed: False where Gymnasium keeps the time."""
+        if checks.Fork.jax_had_started:
+            self.observation_space = self.action_space = Refusing()
+            return
+        with on_cpu():
+            self.begin(with_limit(load(task, config), None, timed, default_length(task)), render_mode, reward_type)
+        self.observation_space, self.action_space = spaces_of(self.env)
+
+    def __getattr__(self, name: str) -> Any:
+        checks.not_forked()
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """A new episode. options: {"goal": number, name or vector}; without them a training goal is drawn."""
+        super().reset(seed=seed)
+        goal = goal_of(self.env, options)
+        with on_cpu():
+            self.state, shown = start(self.env, key_of(self.np_random), goal)
+            mask = self.env.action_mask(self.env.observe(self.state))
+        self.shown = copied(shown)
+        return dict(self.shown), {"action_mask": np.array(mask, np.int8)} if self.env.discrete else {}
+
+    def step(self, action: Any):
+        """One step. Raises `UserError` before the first reset, and for an action that does not exist."""
+        self.check_begun("step")
+        action = action_of(self.env, action, "action")
+        with on_cpu():
+            self.state, shown, mask = move(self.env, self.state, action)
+        self.shown = copied(shown)
+        info = told(self.env, self.shown, self.state, mask)
+        info["is_success"] = float(info["is_success"])
+        if "diverged" in info:
+            info["diverged"] = bool(info["diverged"])
+        reward = float(self.rewards(info["is_success"]))
+        return dict(self.shown), reward, bool(self.state.terminated), bool(self.state.truncated), info
+
+    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
+        """Never: the time limit does not depend on the goal."""
+        return False
+
+    def render(self) -> np.ndarray | None:
+        """A picture uint8 [H, W, 3], in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        self.check_begun("render")
+        return picture(self.env, self.state, self.shown["observation"])
+
+
+class TaskVector(OfTask, VectorEnv):
+    """Many environments of one task as one compiled program, on jax's default device.
+
+    Autoreset is Gymnasium's `NEXT_STEP`: the step after the last of an episode starts the next one, with reward 0 and
+    its action unused.
+    """
+
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        task: str | Environment,
+        num_envs: int,
+        config: Any = None,
+        render_mode: str | None = None,
+        reward_type: str = "sparse",
+        max_episode_steps: int | None = None,
+        timed: bool = True,
+    ):
+        """reward_type: see `TaskGymnasium`. max_episode_steps: None for those of the configuration; -1 for no limit."""
+        self.num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
+        env = with_limit(load(task, config), max_episode_steps, timed, default_length(task))
+        self.begin(env, render_mode, reward_type)
+        self.single_observation_space, self.single_action_space = spaces_of(self.env)
+        single = self.single_observation_space, self.single_action_space
+        self.observation_space, self.action_space = (batch_space(space, self.num_envs) for space in single)
+
+    def new_keys(self) -> jax.Array:
+        """A key for each environment."""
+        return jax.random.split(key_of(self.np_random), self.num_envs)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Reset every environment. options: {"goal": number, name or vector, or one for each}, for this episode
+        only."""
+        super().reset(seed=seed)
+        self.state, shown = start_all(self.env, self.new_keys(), goal_of(self.env, options, self.num_envs))
+        self.shown = copied(shown)
+        if not self.env.discrete:
+            return dict(self.shown), {}
+        mask = np.array(self.env.action_mask(self.env.observe(self.state)), np.int8)
+        return dict(self.shown), {"action_mask": mask, "_action_mask": np.ones(self.num_envs, bool)}
+
+    def step(self, actions: np.ndarray):
+        """One step everywhere, actions int [num_envs] or vectors [num_envs, A]."""
+        self.check_begun("step")
+        actions = action_of(self.env, actions, "actions", (self.num_envs,))
+        self.state, shown, mask, fresh = move_all(self.env, self.state, actions, self.new_keys())
+        self.shown, moved = copied(shown), ~np.array(fresh)
+        terminated, truncated = np.array(self.state.terminated), np.array(self.state.truncated)
+        info = told(self.env, self.shown, self.state, mask)
+        reward = np.where(moved, self.rewards(info["is_success"]), 0.0).astype(np.float32)
+        info["is_success"] *= moved
+        # Gymnasium's marks of the environments that these infos are of.
+        info |= {f"_{name}": np.ones(self.num_envs, bool) if name == "action_mask" else moved for name in info}
+        return dict(self.shown), reward, terminated, truncated, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of each environment, in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        self.check_begun("render")
+        states = [jax.tree.map(lambda leaf, row=row: leaf[row], self.state) for row in range(self.num_envs)]
+        return tuple(map(picture, [self.env] * self.num_envs, states, self.shown["observation"]))
 
 
 def id_of(task: str) -> str:
@@ -40,249 +497,6 @@ def id_of(task: str) -> str:
 
 IDS = {name: id_of(name) for name in envs.registry}
 """The Gymnasium ids of the package's tasks."""
-FARTHEST, LARGEST = 10.0, 50.0
-"""No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step
-is taken back."""
-
-
-def load(task: str, config: FetchConfig | None) -> Fetch:
-    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that
-    is no Fetch task, and for a configuration of another kind."""
-    checks.not_forked()
-    fits = config is None or isinstance(config, FetchConfig)
-    require(fits, "config", config, "give a FetchConfig, or leave it out for the reference's episodes")
-    checks.text(task, "task", f"give one of {', '.join(TASKS)}")
-    return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else checked(config, "config."))
-
-
-def check_reward_type(reward_type: Any) -> None:
-    """Raise `UserError` for a reward that the reference does not have."""
-    known = isinstance(reward_type, str) and reward_type in REWARD_TYPES
-    require(known, "reward_type", reward_type, f"give one of {', '.join(REWARD_TYPES)}")
-
-
-def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:
-    """A new episode, for `goal` [3] where one is given; otherwise as `env.reset` draws it."""
-    goal_key, object_key = jax.random.split(key)
-    return env.reset_to(object_key, jnp.where(given, goal, env.sample_goal(goal_key)))
-
-
-def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
-    """The observation in the form of Gymnasium's goal environments."""
-    return {"observation": state.observation, "achieved_goal": env.achieved(state), "desired_goal": state.goal}
-
-
-def distance(achieved, desired) -> np.ndarray:
-    """Metres between positions [..., 3]. Raises `UserError` for other shapes, and for numbers that are not finite:
-    these are neither near nor far."""
-    remedy = "give positions [..., 3]"
-    achieved = np.asarray(checks.array(achieved, "achieved_goal", "numbers", remedy=remedy))
-    desired = np.asarray(checks.array(desired, "desired_goal", "numbers", remedy=remedy))
-    for goals, field in ((achieved, "achieved_goal"), (desired, "desired_goal")):
-        checks.as_float32(goals, field)  # Beyond, no distance is a number.
-    fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
-    require(
-        fit,
-        "achieved_goal",
-        f"of shape {achieved.shape}, desired_goal of {desired.shape}",
-        "give positions [..., 3] of one shape",
-    )
-    return np.linalg.norm(achieved - desired, axis=-1)
-
-
-def rewards(achieved, desired, reward_type: str = "sparse") -> np.ndarray:
-    """0 at the goal and -1 farther than 5 cm, or minus the distance in m, float32 [...]."""
-    apart = distance(achieved, desired)
-    return -(apart.astype(np.float32) if reward_type == "dense" else (apart > DISTANCE_THRESHOLD).astype(np.float32))
-
-
-def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) -> tuple[np.ndarray, bool]:
-    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what
-    cannot be one."""
-    if not options_of(options):
-        return np.zeros(shape, np.float32), False
-    remedy = "give a position of 3 numbers, in m"
-    goal = np.asarray(checks.array(options["goal"], 'options["goal"]', "numbers", remedy=remedy), np.float32)
-    env.check_goals(goal)
-    require(
-        goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)),
-        'options["goal"]',
-        f"of shape {goal.shape}",
-        f"give {list(shape)} or [3]",
-    )
-    return np.broadcast_to(goal, shape), True
-
-
-def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
-    """The observation and action space of one environment."""
-    goal = gymnasium.spaces.Box(-FARTHEST, FARTHEST, (3,), np.float32)
-    observation = gymnasium.spaces.Box(-LARGEST, LARGEST, (env.observation_size,), np.float32)
-    return (
-        gymnasium.spaces.Dict({"observation": observation, "achieved_goal": goal, "desired_goal": goal}),
-        gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32),
-    )
-
-
-def action_of(action: Any, field: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The action, float32 of this shape. Raises `UserError` for what is none; the simulation clips what is beyond
-    [-1, 1], as the reference does, and diverges with what is not finite."""
-    remedy = f"give {' x '.join(map(str, shape))} numbers in [-1, 1]"
-    given = checks.array(action, field, "numbers", shape, remedy, finite=False)
-    return np.asarray(given, np.float32)
-
-
-jitted_reset = jax.jit(reset)
-# The environment has no leaves: one program for each task and setting, however many environments there are.
-jitted_step = jax.jit(Fetch.step)
-
-
-class FetchGymnasium(One):
-    """One Fetch task. As in the reference an episode is truncated after its 50 steps and never terminated, unless
-    `config` has it end at the goal.
-
-    `info` of a step: `is_success` 0.0 or 1.0; `diverged`: the simulation failed, the step was taken back and the
-    episode is truncated.
-    """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium's own form.
-
-    def __init__(
-        self,
-        task: str,
-        config: FetchConfig | None = None,
-        render_mode: str | None = None,
-        reward_type: str = "sparse",
-        timed: bool = True,
-    ):
-        """reward_type: "sparse", or "dense" for minus the distance in m. timed: False where Gymnasium keeps time."""
-        if self.is_refused():
-            return
-        check_reward_type(reward_type)
-        self.begin(with_limit(load(task, config), None, timed, FetchConfig().episode_length), render_mode)
-        self.reward_type = reward_type
-        self.observation_space, self.action_space = spaces_of(self.env)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """A new episode. options: {"goal": [x, y, z]} in m. Raises `UserError` for a goal outside of the workspace."""
-        super().reset(seed=seed)
-        goal, given = goal_of(self.env, options, (3,))
-        with on_cpu():
-            self.state = jitted_reset(self.env, key_of(self.np_random), goal, given)
-        return self._view(), {}
-
-    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """40 ms of simulation. Raises `UserError` before the first reset, and for an action of another shape."""
-        self.check_begun("step")
-        action = action_of(action, "action", self.action_space.shape)
-        with on_cpu():
-            self.state = jitted_step(self.env, self.state, action)
-        seen = self._view()
-        near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
-        info = {"is_success": float(near), "diverged": bool(self.state.diverged)}
-        reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
-        return seen, reward, bool(self.state.terminated), bool(self.state.truncated), info
-
-    def _view(self) -> dict[str, np.ndarray]:
-        return copied(view(self.env, jax.device_get(self.state)))
-
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
-        """0 at the goal and -1 elsewhere, or minus the distance, float32 [...], for goals [..., 3]; what hindsight
-        relabelling calls."""
-        return rewards(achieved_goal, desired_goal, self.reward_type)
-
-    def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
-        """Whether reaching the goal would have ended the episode, bool [...]."""
-        return (distance(achieved_goal, desired_goal) < DISTANCE_THRESHOLD) & self.env.ends_at_goal
-
-    def pictures(self) -> np.ndarray:
-        """A picture uint8 [480, 640, 3]."""
-        from infogoal_jax.envs.fetch.scene import draw_fetch
-
-        return draw_fetch(self.env, self.state)
-
-
-@jax.jit
-def jitted_vector_reset(env: Fetch, keys: jax.Array, goals: jax.Array, given: jax.Array):
-    """States and views of a batch."""
-    states = jax.vmap(reset, in_axes=(None, 0, 0, None))(env, keys, goals, given)
-    return states, jax.vmap(view, in_axes=(None, 0))(env, states)
-
-
-@jax.jit
-def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys: jax.Array):
-    """The next states of a batch with their views, and which episodes are new: an episode that had ended is reset."""
-
-    def step(state, action, key):
-        ended = state.terminated | state.truncated
-        state = jax.tree.map(
-            lambda fresh, moved: jnp.where(ended, fresh, moved), env.reset(key), env.step(state, action)
-        )
-        return state, view(env, state), ended
-
-    return jax.vmap(step)(states, actions, keys)
-
-
-class FetchVector(Batch):
-    """Many environments of one Fetch task, as `Batch` has them."""
-
-    metadata = FetchGymnasium.metadata | Batch.autoreset
-
-    def __init__(
-        self,
-        task: str,
-        num_envs: int,
-        config: FetchConfig | None = None,
-        render_mode: str | None = None,
-        reward_type: str = "sparse",
-        max_episode_steps: int | None = None,
-        timed: bool = True,
-    ):
-        """reward_type: see `FetchGymnasium`. max_episode_steps: None for the configuration's; -1 for no limit."""
-        num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
-        check_reward_type(reward_type)
-        env = with_limit(load(task, config), max_episode_steps, timed, FetchConfig().episode_length)
-        self.begin(env, render_mode)
-        self.reward_type = reward_type
-        self.make_spaces(num_envs, *spaces_of(env))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Reset every environment. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
-        super().reset(seed=seed)
-        goals, given = goal_of(self.env, options, (self.num_envs, 3))
-        self.state, seen = jitted_vector_reset(self.env, self.new_keys(), goals, given)
-        return copied(seen), {}
-
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """40 ms everywhere, actions [num_envs, 4]."""
-        self.check_begun("step")
-        actions = action_of(actions, "actions", self.action_space.shape)
-        self.state, seen, fresh = jitted_vector_step(self.env, self.state, actions, self.new_keys())
-        seen, moved = copied(seen), ~np.array(fresh)
-        near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
-        reward = np.where(moved, self.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}), np.float32(0))
-        info = {"is_success": (near & moved).astype(float), "diverged": np.array(self.state.diverged)}
-        # Gymnasium's marks of the environments that these infos are of.
-        info |= {f"_{name}": moved.copy() for name in info}
-        return seen, reward, np.array(self.state.terminated), np.array(self.state.truncated), info
-
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
-        """As `FetchGymnasium.compute_reward`."""
-        return rewards(achieved_goal, desired_goal, self.reward_type)
-
-    def pictures(self) -> tuple[np.ndarray, ...]:
-        """A picture uint8 [480, 640, 3] of each environment."""
-        from infogoal_jax.envs.fetch.scene import draw_fetch
-
-        return tuple(
-            draw_fetch(self.env, jax.tree.map(lambda leaf, row=row: leaf[row], self.state))
-            for row in range(self.num_envs)
-        )
 
 
 def register(task: str, reward_type: str = "sparse") -> str:
@@ -290,13 +504,12 @@ def register(task: str, reward_type: str = "sparse") -> str:
     name = id_of(task)
     gymnasium_id = name.replace("-v0", "Dense-v0") if reward_type == "dense" else name
     if gymnasium_id not in gymnasium.registry:
-        one, batch = (FetchGymnasium, FetchVector) if task in TASKS else (TaskGymnasium, TaskVector)
         # Of the time Gymnasium is the only owner: `make` wraps one environment, a batch is told.
         kwargs = {"task": task, "timed": False} | ({"reward_type": reward_type} if reward_type == "dense" else {})
         gymnasium.register(
             gymnasium_id,
-            entry_point=f"{one.__module__}:{one.__name__}",
-            vector_entry_point=f"{batch.__module__}:{batch.__name__}",
+            entry_point=f"{__name__}:TaskGymnasium",
+            vector_entry_point=f"{__name__}:TaskVector",
             kwargs=kwargs,
             max_episode_steps=envs.registry.entry(task).config().episode_length,
             order_enforce=False,
@@ -312,14 +525,14 @@ for name in TASKS:
 
 
 def make(task: str, config: Any = None, render_mode: str | None = None) -> gymnasium.Env:
-    """The environment of a task by its name, `FetchGymnasium` or `TaskGymnasium`, without a wrapper.
+    """The environment of a task by its name, without a wrapper.
 
     config: of the task; None for its defaults, of a Fetch task for the reference's episodes of 50 steps. Its
     `episode_length` is the limit, which `env.spec` knows. render_mode: None or "rgb_array". Raises `UserError` for
     unknown names.
     """
     default = envs.registry.entry(task).config().episode_length
-    env = (FetchGymnasium if task in TASKS else TaskGymnasium)(task, config, render_mode)
+    env = TaskGymnasium(task, config, render_mode)
     env.spec = copy.deepcopy(gymnasium.spec(register(task)))
     env.spec.max_episode_steps = env.env.episode_length
     env.spec.kwargs |= {

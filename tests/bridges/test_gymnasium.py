@@ -25,7 +25,7 @@ def reach():
 @pytest.fixture(scope="module")
 def vector():
     """Three robots whose episodes take four steps."""
-    return bridge.FetchVector("fetch_reach", 3, FetchConfig(ends_at_goal=False, episode_length=4))
+    return bridge.TaskVector("fetch_reach", 3, FetchConfig(ends_at_goal=False, episode_length=4))
 
 
 def test_gymnasium_finds_nothing_to_warn_of(reach):
@@ -35,7 +35,7 @@ def test_gymnasium_finds_nothing_to_warn_of(reach):
 @pytest.mark.parametrize("task", list(TASKS))
 def test_each_task_is_registered_with_the_reference_s_spaces(task):
     env = gymnasium.make(bridge.IDS[task])
-    assert isinstance(env.unwrapped, bridge.FetchGymnasium) and env.spec.id == bridge.IDS[task]
+    assert isinstance(env.unwrapped, bridge.TaskGymnasium) and env.spec.id == bridge.IDS[task]
     assert env.spec.max_episode_steps == gymnasium.spec(bridge.IDS[task]).max_episode_steps == 50
     dense = gymnasium.make(bridge.IDS[task].replace("-v0", "Dense-v0")).unwrapped
     assert (env.unwrapped.reward_type, dense.reward_type) == ("sparse", "dense")
@@ -80,10 +80,10 @@ def test_the_goal_can_be_given_and_must_lie_in_the_workspace(reach):
     drawn, _ = reach.reset(seed=0)
     assert not np.allclose(drawn["desired_goal"], [1.3, 0.7, 0.5])
     wrong = [
-        ([9.0, 0.7, 0.5], "outside of the workspace"),
-        ([1.3, 0.7], "3 numbers"),
-        ("home", "3 numbers"),
-        ([[1.3, 0.7, 0.5]], "shape"),
+        ([9.0, 0.7, 0.5], "lies outside; give 1.05 to"),
+        ([1.3, 0.7], "a goal as numbers .3."),
+        ("home", "a goal as numbers .3."),
+        ([[1.3, 0.7, 0.5]], "a goal as numbers .3."),
     ]
     for goal, message in wrong:
         with pytest.raises(UserError, match=message):
@@ -100,7 +100,8 @@ def test_goals_follow_the_seed_and_go_on_without_one(reach):
 
 def test_a_simulation_that_diverges_truncates_the_episode_and_stays_finite(reach):
     before, _ = reach.reset(seed=5)
-    seen, _, terminated, truncated, info = reach.step(np.full(4, np.nan, np.float32))
+    reach.state = reach.state.replace(gripper=reach.state.gripper * np.nan)
+    seen, _, terminated, truncated, info = reach.step(NOTHING)
     assert truncated and not terminated and info["diverged"]
     assert np.array_equal(seen["observation"], before["observation"])
 
@@ -119,7 +120,7 @@ def test_wrong_calls_are_explained(reach):
     with pytest.raises(UserError, match="config = {'episode_length': 5}: give a FetchConfig"):
         bridge.make("fetch_reach", config={"episode_length": 5})
     with pytest.raises(UserError, match="render_mode"):
-        bridge.FetchGymnasium("fetch_reach", render_mode="human")
+        bridge.TaskGymnasium("fetch_reach", render_mode="human")
     fresh = bridge.make("fetch_reach", render_mode="rgb_array")
     for call in (lambda: fresh.step(NOTHING), fresh.render):
         with pytest.raises(UserError, match="reset"):
@@ -127,7 +128,7 @@ def test_wrong_calls_are_explained(reach):
     reach.reset()
     with pytest.raises(UserError, match="4 numbers"):
         reach.step(np.zeros(3))
-    with pytest.raises(UserError, match="positions"):
+    with pytest.raises(UserError, match="of one shape"):
         reach.compute_reward(np.zeros((2, 3)), np.zeros(3), {})
 
 
@@ -145,7 +146,7 @@ def test_dense_rewards_are_minus_the_distance():
     reward = env.compute_reward(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0]]), {})
     assert reward.dtype == np.float32 and np.allclose(reward, [0.0, -0.5])
     with pytest.raises(UserError, match="reward_type = 'both': give one of sparse, dense"):
-        bridge.FetchGymnasium("fetch_reach", reward_type="both")
+        bridge.TaskGymnasium("fetch_reach", reward_type="both")
 
 
 def test_without_gymnasium_the_remedy_is_named(monkeypatch):
@@ -189,10 +190,12 @@ def test_a_batch_repeats_itself_under_one_seed_and_takes_goals(vector):
     assert all(np.array_equal(one[name], two[name]) for one, two in zip(*runs, strict=True) for name in one)
     seen, _ = vector.reset(options={"goal": [1.3, 0.7, 0.5]})
     assert np.allclose(seen["desired_goal"], [1.3, 0.7, 0.5])
-    with pytest.raises(UserError, match="shape"):
-        vector.reset(options={"goal": np.full((2, 3), [1.3, 0.7, 0.5])})
+    each = np.array([[1.3, 0.7, 0.5], [1.2, 0.7, 0.5], [1.3, 0.6, 0.5]], np.float32)
+    assert np.array_equal(vector.reset(options={"goal": each})[0]["desired_goal"], each)
+    with pytest.raises(UserError, match="give one, or 3"):
+        vector.reset(options={"goal": each[:2]})
     with pytest.raises(UserError, match="num_envs"):
-        bridge.FetchVector("fetch_reach", 0)
+        bridge.TaskVector("fetch_reach", 0)
 
 
 @pytest.mark.long

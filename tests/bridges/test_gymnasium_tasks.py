@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from infogoal_jax import UserError, envs
 from infogoal_jax.bridges import gymnasium as bridge
-from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
+from infogoal_jax.bridges.gymnasium import TaskGymnasium, TaskVector
 
 STEPS = 4
 

@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 
 from infogoal_jax import UserError, envs
 from infogoal_jax.bridges import gymnasium as bridge
-from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
+from infogoal_jax.bridges.gymnasium import TaskGymnasium, TaskVector
 from infogoal_jax.envs.plane import PlaneConfig
 
 STEPS = 5
