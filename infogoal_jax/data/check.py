@@ -1,8 +1,8 @@
 """Everything that is wrong with a folder in the Active Vision Dataset's format, found in one pass.
 
 The reader (active_vision.py) stops at the first fault; whoever has a damaged copy of some ten gigabytes wants the whole
-list. An error is what makes the data unusable or a goal impossible. A warning is what real scenes do have (moves that
-cannot be undone, for instance) or what costs little (no positions). Each image is read once.
+list. An error is what makes the data unusable or a goal impossible. A warning is what costs little, such as no
+positions. Each image is read once.
 """
 
 from __future__ import annotations
@@ -21,14 +21,6 @@ from infogoal_jax.data.active_vision import ACTIONS, DEFAULT_MIN_BOX_SIZE, MAX_D
 from infogoal_jax.errors import UserError, shown
 from infogoal_jax.files import from_json, read_bytes, read_text
 
-OPPOSITE = {
-    "forward": "backward",
-    "backward": "forward",
-    "left": "right",
-    "right": "left",
-    "rotate_ccw": "rotate_cw",
-    "rotate_cw": "rotate_ccw",
-}
 MAPS = ("all_instance_id_map.txt", "instance_id_map.txt")
 SCENE_NAME = re.compile(r"(Home|Office)_\d{3}_\d")
 
@@ -88,8 +80,6 @@ def _check_maps(root: Path) -> tuple[dict[str, int], list[Finding]]:
     if not maps:
         findings.append(Finding("error", MAPS[0], "missing: no object has a name"))
         return {}, findings
-    if len(maps) == 2 and maps[0] != maps[1]:
-        findings.append(Finding("warning", MAPS[1], f"differs from {MAPS[0]}, which is the one that is used"))
     return maps[0], findings
 
 
@@ -103,8 +93,7 @@ def _check_scene(scene: Path, names: dict[str, int]) -> Iterator[Finding]:
     yield from _check_poses(scene, sorted(annotations))
     for name, record in sorted(annotations.items()):
         where = f"{scene.name}/{name}"
-        yield from _check_name(where, scene.name, name)
-        yield from _check_moves(where, name, record, annotations)
+        yield from _check_moves(where, record, annotations)
         yield from _check_boxes(where, record, sizes.get(name), set(names.values()))
     if annotations:
         yield from _check_objects(scene, annotations, sizes, present)
@@ -132,14 +121,10 @@ def _read_annotations(scene: Path) -> tuple[dict[str, dict], list[Finding]]:
 def _read_present(scene: Path, names: dict[str, int]) -> tuple[dict[str, int], list[Finding]]:
     """The objects that a scene says it has, with their ids."""
     where = f"{scene.name}/present_instance_names.txt"
-    findings = [
-        Finding("warning", f"{scene.name}/{name}", "missing: " + loss)
-        for name, loss in (
-            ("cameras.txt", "nothing here needs it"),
-            ("image_structs.mat", "positions are unknown, trajectories cannot be drawn"),
-        )
-        if not (scene / name).exists()
-    ]
+    findings = []
+    if not (scene / "image_structs.mat").exists():
+        unknown = "missing: positions are unknown, trajectories cannot be drawn"
+        findings.append(Finding("warning", f"{scene.name}/image_structs.mat", unknown))
     try:
         listed = read_text(scene / "present_instance_names.txt", errors="replace").split()
     except OSError:
@@ -158,10 +143,6 @@ def _read_images(scene: Path, annotated: set[str]) -> tuple[dict[str, tuple[int,
     files = set(os.listdir(folder))
     findings += [
         Finding("error", f"{scene.name}/jpg_rgb/{name}", "missing, but annotated") for name in sorted(annotated - files)
-    ]
-    findings += [
-        Finding("warning", f"{scene.name}/jpg_rgb/{name}", "not annotated: it is left out")
-        for name in sorted(files - annotated)
     ]
     present = sorted(annotated & files)
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
@@ -197,29 +178,13 @@ def _check_poses(scene: Path, names: list[str]) -> Iterator[Finding]:
         yield Finding("error", f"{scene.name}/image_structs.mat", "cannot be read, or cut short")
 
 
-def _check_name(where: str, scene: str, name: str) -> Iterator[Finding]:
-    if not re.fullmatch(r"\d{15}\.jpg", name):
-        yield Finding("error", where, "malformed name: wants fifteen digits and .jpg")
-    elif SCENE_NAME.fullmatch(scene) and scene != f"{'Home' if name[0] == '0' else 'Office'}_{name[1:4]}_{name[4]}":
-        yield Finding("warning", where, "its digits name another scene")
-
-
-def _check_moves(where: str, name: str, record: dict, annotations: dict[str, dict]) -> Iterator[Finding]:
+def _check_moves(where: str, record: dict, annotations: dict[str, dict]) -> Iterator[Finding]:
     for action in ACTIONS:
         target = record.get(action)
         if not isinstance(target, str):
             yield Finding("error", where, f"{action} is {target!r}: wants the name of an image, or an empty string")
         elif target and target not in annotations:
             yield Finding("error", where, f"{action} leads to {target}, which is not there")
-        elif target == name:
-            yield Finding("warning", where, f"{action} leads to the image itself")
-        elif target and annotations[target].get(OPPOSITE[action]) != name:
-            back = annotations[target].get(OPPOSITE[action]) or "nowhere"
-            yield Finding(
-                "warning",
-                where,
-                f"one-way: {action} leads to {target}, but {OPPOSITE[action]} from there leads to {back}",
-            )
 
 
 def _boxes(record: dict) -> list[list]:
@@ -241,7 +206,7 @@ def _check_boxes(where: str, record: dict, size: tuple[int, int] | None, known: 
         if not _is_box(box):
             yield Finding("error", where, f"box {box!r}: wants [xmin, ymin, xmax, ymax, id, difficulty]")
             continue
-        left, top, right, bottom, identity, difficulty = box
+        left, top, right, bottom, identity, _ = box
         if right <= left or bottom <= top:
             yield Finding("error", where, f"box {box}: inverted or empty")
         if size is not None and (
@@ -250,8 +215,6 @@ def _check_boxes(where: str, record: dict, size: tuple[int, int] | None, known: 
             yield Finding("error", where, f"box {box}: outside the image of {size[0]} x {size[1]} pixels")
         if identity not in known:
             yield Finding("error", where, f"box {box}: id {identity} is not in the instance map")
-        if not 0 <= difficulty <= 5:
-            yield Finding("warning", where, f"box {box}: difficulty {difficulty} is not 0 to 5")
 
 
 def _check_objects(

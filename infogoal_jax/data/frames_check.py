@@ -2,12 +2,9 @@
 them, found in one pass. What each means is in docs/reference/datasets.md.
 
 An error is what makes the data unusable or would make a policy learn moves that were never made; `frames.load` and
-`frames.save` stop at the first.
-A warning is what recordings do have and what may surprise: states that no move touches, objects that no frame shows,
-frames that look the same.
+`frames.save` stop at the first. A warning is a member that nothing reads, or an object that no frame shows.
 """
 
-import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -74,11 +71,8 @@ def check_frames(path: str | os.PathLike) -> list[Finding]:
     members, unreadable = read_members(archive)
     faults = [*unreadable, *member_faults(members, set(archive.sizes))]
     errors = [Finding("error", f"{path}: {where}", problem) for where, problem in faults]
-    warnings = [
-        Finding("warning", f"{path}: {where}", problem)
-        for where, problem in (*unknown_members(archive), *member_warnings(members))
-    ]
-    return errors + warnings
+    surprising = (*unknown_members(archive), *limited(unseen_objects(members)))
+    return errors + [Finding("warning", f"{path}: {where}", problem) for where, problem in surprising]
 
 
 def read_members(archive: archives.Archive) -> tuple[dict[str, np.ndarray], list[Fault]]:
@@ -321,42 +315,13 @@ def unknown_members(archive: archives.Archive) -> Iterator[Fault]:
             yield name, f"nothing reads it.{nearest(name, list(SCHEMA))} Remove or rename it"
 
 
-def member_warnings(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
-    """What may surprise whoever trains on the data."""
+def unseen_objects(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
+    """Objects that no frame shows."""
     fitting, _, _ = fitting_members(members)
     if {"detected", "objects"} <= set(fitting):
-        never = np.flatnonzero(~fitting["detected"].any(0))
-        names = fitting["objects"].tolist()
-        yield from limited(
-            (f"objects[{column}]", f"{names[column]!r} is detected in no frame; it can be no goal") for column in never
-        )
-    if {"state", "frame", "next_frame"} <= set(fitting):
-        state, moved = fitting["state"], np.concatenate([fitting["frame"], fitting["next_frame"]])
-        touched = state[moved[(moved >= 0) & (moved < len(state))]]
-        values, rows = np.unique(state, return_index=True)
-        alone = rows[~np.isin(values, touched)]
-        yield from limited(
-            (f"state[{row}]", f"no move leaves or reaches state {state[row]}; record one, or remove its frames")
-            for row in alone
-        )
-    if {"action", "actions"} <= set(fitting):
-        unused = np.setdiff1d(np.arange(len(fitting["actions"])), fitting["action"])
-        names = fitting["actions"].tolist()
-        yield from limited((f"actions[{row}]", f"{names[row]!r} is the action of no move; remove it") for row in unused)
-    if "frames" in fitting:
-        yield from limited(duplicates(fitting["frames"]))
-
-
-def duplicates(frames: np.ndarray) -> Iterator[Fault]:
-    """Frames with exactly the pixels of an earlier one."""
-    seen: dict[bytes, int] = {}
-    for row, pixels in enumerate(frames):
-        first = seen.setdefault(hashlib.blake2b(np.ascontiguousarray(pixels), digest_size=16).digest(), row)
-        if first != row:
-            yield (
-                f"frames[{row}]",
-                f"has the pixels of frames[{first}]; nothing can tell them apart: give them one state, or one frame",
-            )
+        for column in np.flatnonzero(~fitting["detected"].any(0)):
+            name = fitting["objects"].tolist()[column]
+            yield f"objects[{column}]", f"{name!r} is detected in no frame; it can be no goal"
 
 
 def limited(faults: Iterator[Fault]) -> Iterator[Fault]:

@@ -101,7 +101,7 @@ def test_goals_can_be_given_by_number_or_name_and_follow_the_seed(rooms):
 
 
 def test_wrong_calls_are_explained(rooms):
-    for options, message in (({"goal": 99}, "evaluated goal"), ({"goal": "sofa"}, "evaluated"), ({"golf": 1}, "golf")):
+    for options, message in (({"goal": 99}, "goals 0 to 7"), ({"goal": "sofa"}, "no goal sofa"), ({"golf": 1}, "golf")):
         with pytest.raises(UserError, match=message):
             rooms.reset(options=options)
     with pytest.raises(UserError, match="action = 99"):

@@ -44,20 +44,9 @@ def plant_everything(root):
     expected.append(("error", names[0], "not a whole JPEG"))
     (images / names[1]).unlink()
     expected.append(("error", names[1], "missing, but annotated"))
-    (images / "stray.jpg").write_bytes(b"")
-    expected.append(("warning", "stray.jpg", "not annotated"))
 
     annotations[names[40]]["left"] = "010119999990101.jpg"
     expected.append(("error", names[40], "left leads to 010119999990101.jpg, which is not there"))
-    turned = annotations[names[41]]["rotate_cw"]
-    annotations[turned]["rotate_ccw"] = ""
-    expected.append(("warning", names[41], f"one-way: rotate_cw leads to {turned}"))
-    walked = next(n for n in names[60:] if annotations[n]["forward"])
-    ahead = annotations[walked]["forward"]
-    annotations[ahead]["backward"] = names[-1]
-    expected.append(("warning", walked, f"one-way: forward leads to {ahead}"))
-    annotations[names[100]]["forward"] = names[100]
-    expected.append(("warning", names[100], "forward leads to the image itself"))
     annotations[names[101]]["right"] = 7
     expected.append(("error", names[101], "right is 7"))
 
@@ -69,13 +58,8 @@ def plant_everything(root):
     expected.append(("error", names[112], "inverted"))
     annotations[names[113]]["bounding_boxes"].append([1, 2, 3])
     expected.append(("error", names[113], "wants [xmin"))
-    annotations[names[114]]["bounding_boxes"].append([0, 0, 9, 9, 1, 12])
-    expected.append(("warning", names[114], "difficulty 12"))
     annotations[names[115]] = []
     expected.append(("error", names[115], "not a dictionary"))
-    annotations["0101.jpg"] = {"bounding_boxes": []} | dict.fromkeys(ACTIONS, "")
-    (images / "0101.jpg").write_bytes((images / names[2]).read_bytes())
-    expected.append(("error", "0101.jpg", "malformed name"))
 
     unseen, lonely = house.INSTANCE_IDS["red_cup"], house.INSTANCE_IDS["red_bull"]
     island = "010110099990101.jpg"
@@ -89,13 +73,8 @@ def plant_everything(root):
     expected.append(("error", "present_instance_names.txt", "'no_such_object' is not in the instance map"))
 
     (scene / "annotations.json").write_text(json.dumps(annotations))
-    (scene / "cameras.txt").unlink()
-    expected.append(("warning", "cameras.txt", "missing"))
     cut(scene / "image_structs.mat")
     expected.append(("error", "image_structs.mat", "cut short"))
-    with open(root / "instance_id_map.txt", "a") as file:
-        file.write("something 99\n")
-    expected.append(("warning", "instance_id_map.txt", "differs"))
     with open(root / "all_instance_id_map.txt", "a") as file:
         file.write("three words 5\nred_cup 98\n")
     expected.append(("error", "all_instance_id_map.txt:34", "is not `name id`"))
@@ -252,15 +231,7 @@ def test_a_sound_file_has_no_finding_and_is_summed_up(tmp_path, capsys):
 
 def test_what_may_surprise_is_a_warning_and_no_error(tmp_path):
     sound = small()
-    pixels = sound.frames.copy()
-    pixels[4] = pixels[1]
-    surprising = {
-        "frames": pixels,
-        "detected": np.zeros((6, 2), bool),
-        "actions": np.array(["right", "left", "up"]),
-        "rotations": sound.rotation,
-        **{name: getattr(sound, name)[:3] for name in MOVES},
-    }
+    surprising = {"detected": np.zeros((6, 2), bool), "rotations": sound.rotation}
     planted(tmp_path / "row.npz", **surprising)
     frames.load(tmp_path / "row.npz")
     findings = frames_check.check_frames(tmp_path / "row.npz")
@@ -270,9 +241,6 @@ def test_what_may_surprise_is_a_warning_and_no_error(tmp_path):
         "rotations: nothing reads it. Did you mean 'rotation'?",
         "objects[0]: 'a red mug' is detected in no frame",
         "objects[1]",
-        "state[4]: no move leaves or reaches state 4",
-        "actions[2]: 'up' is the action of no move",
-        "frames[4]: has the pixels of frames[1]",
     ]
     for part in expected:
         assert any(part in problem for problem in problems), (part, problems)
