@@ -42,11 +42,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.speed.operations import operations
 from infogoal_jax import compiled, jit, make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.runner.compilation import operations
 from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shardings_of
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side

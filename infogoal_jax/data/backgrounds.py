@@ -6,7 +6,6 @@ that would allow to ship it, so it is downloaded on demand. The mixing itself is
 
 import dataclasses
 import os
-import shutil
 import tarfile
 import tempfile
 from pathlib import Path
@@ -27,6 +26,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 CIFAR10_URL = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
 CIFAR10_SHA256 = "c4a38c50a1bc5f3a1c5537f2155ab9d68f9f25eb1ed8d9ddda3db29a59bca1dd"
 CIFAR10_FOLDER = "cifar-10-batches-bin"
+ARCHIVE = "cifar-10-binary.tar.gz"
 TRAIN_BATCHES = tuple(f"data_batch_{number}.bin" for number in range(1, 6))
 TEST_BATCHES = ("test_batch.bin",)
 REMEDY = "give a folder of images or of CIFAR-10's binary version; without one, shipped photographs are taken"
@@ -232,8 +232,7 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
     try:
         existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
         with tempfile.TemporaryDirectory(prefix=".cifar-10-", dir=existing) as beside, temporary(Path(beside)):
-            archive = _download(url, Path(beside), sha256)
-            unpacked = _unpack(archive, Path(beside) / CIFAR10_FOLDER)
+            unpacked = _download(url, Path(beside), sha256)
             folder.mkdir(parents=True, exist_ok=True)
             unpacked.rename(batches)
     except OSError as error:
@@ -244,50 +243,30 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
 
 
 def _download(url: str, folder: Path, sha256: str) -> Path:
-    """The archive, checked, in the folder."""
+    """The six batches of the archive, which is checked and unpacked in the folder."""
     import pooch
+    import requests
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-    archive = folder / "cifar-10-binary.tar.gz"
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        DownloadColumn(),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-    )
+    pooch.get_logger().setLevel("WARNING")
+    words = TextColumn("{task.description}")
+    columns = (words, BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    batches = pooch.Untar([f"{CIFAR10_FOLDER}/{name}" for name in (*TRAIN_BATCHES, *TEST_BATCHES)], ".")
     try:
         with Progress(*columns, console=Console(stderr=True)) as progress:
-            pooch.HTTPDownloader(progressbar=DownloadBar(progress, archive.name), chunk_size=1 << 16)(
-                url, str(archive), None
-            )
-    except OSError as error:  # The errors of requests are OSErrors too.
+            download = pooch.HTTPDownloader(progressbar=DownloadBar(progress, ARCHIVE), chunk_size=1 << 16)
+            pooch.retrieve(url, f"sha256:{sha256}", ARCHIVE, folder, batches, download)
+    except requests.RequestException as error:
         raise UserError(
-            f"url = {url!r}: the download of {archive.name} broke off, nothing was kept: {error}. "
+            f"url = {url!r}: the download of {ARCHIVE} broke off, nothing was kept: {error}. "
             f"Try again, or unpack a copy from elsewhere and give its folder as the path of the backgrounds"
         ) from error
-    found = pooch.file_hash(str(archive), alg="sha256")
-    require(
-        found == sha256,
-        "url",
-        url,
-        f"{archive.name} has a wrong checksum, nothing was kept: expected sha256 {sha256}, found {found}. Try again",
-    )
-    return archive
-
-
-def _unpack(archive: Path, folder: Path) -> Path:
-    """The six batches of the archive, in the folder."""
-    folder.mkdir()
-    try:
-        with tarfile.open(archive) as members:
-            for name in (*TRAIN_BATCHES, *TEST_BATCHES):
-                with members.extractfile(f"{CIFAR10_FOLDER}/{name}") as packed, open(folder / name, "wb") as unpacked:
-                    shutil.copyfileobj(packed, unpacked)
     except (tarfile.TarError, KeyError, EOFError) as error:
         raise UserError(
-            f"{archive.name}: is not the archive of CIFAR-10's binary version, nothing was kept: {error}"
+            f"{ARCHIVE}: is not the archive of CIFAR-10's binary version, nothing was kept: {error}"
         ) from error
-    _read_cifar10(folder, 1)
-    return folder
+    except ValueError as error:
+        raise UserError(f"url = {url!r}: {ARCHIVE} has a wrong checksum, nothing was kept: {error}") from error
+    _read_cifar10(folder / CIFAR10_FOLDER, 1)
+    return folder / CIFAR10_FOLDER

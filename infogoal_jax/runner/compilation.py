@@ -1,6 +1,5 @@
 """How programs are compiled: options that save time on each kind of device, a chunk of training as two programs that
-compile at the same time, a folder in which compiled programs outlive their process, and how large a traced program is,
-which a test keeps from growing."""
+compile at the same time, and a folder in which compiled programs outlive their process."""
 
 import contextlib
 import functools
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from infogoal_jax import checks
 from infogoal_jax.errors import require
@@ -168,31 +167,6 @@ def use_compilation_cache(folder: str | Path | None = None) -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # Small programs are many.
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return folder
-
-
-def operations(program: Jaxpr | ClosedJaxpr, platform: str | None = None) -> int:
-    """Equations of a jaxpr, with those of inner functions and loop bodies counted wherever they stand; of what is
-    written for several kinds of devices, the form for this one alone, since the others are not compiled.
-
-    platform: "cpu" or "cuda"; None for the devices in use.
-    """
-    platform = platform or {"gpu": "cuda"}.get(jax.default_backend(), jax.default_backend())
-    jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
-    return sum(
-        1 + sum(operations(inner, platform) for inner in compiled_programs(equation, platform))
-        for equation in jaxpr.eqns
-    )
-
-
-def compiled_programs(equation: JaxprEqn, platform: str) -> Iterator[Jaxpr | ClosedJaxpr]:
-    """The inner jaxprs of an equation, without those that are for other devices."""
-    platforms = equation.params.get("branches_platforms")
-    if platforms is None:
-        for value in equation.params.values():
-            yield from inner_programs(value)
-    else:
-        branches = zip(equation.params["branches"], platforms, strict=True)
-        yield next(branch for branch, names in branches if names is None or platform in names)
 
 
 def inner_programs(parameter) -> Iterator[Jaxpr | ClosedJaxpr]:

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.speed.operations import operations
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.runner import compilation, distributed, memory, search
-from infogoal_jax.runner.compilation import OPTIONS, chunk_of, compiler_options, compiling_quickly, operations
+from infogoal_jax.runner.compilation import OPTIONS, chunk_of, compiler_options, compiling_quickly
 from infogoal_jax.runner.training import run
 
 COUNT_HITS = """

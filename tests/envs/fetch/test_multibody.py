@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.speed.operations import operations
 from infogoal_jax.envs import load
 from infogoal_jax.envs.fetch import contacts, model, physics
 from infogoal_jax.envs.fetch.environment import LATE
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.envs.fetch.vectors import Rotation, Vector
-from infogoal_jax.runner.compilation import operations
 
 CASES = [
     ("fetch_reach", model.FAST),
