@@ -83,6 +83,7 @@ def test_noise_and_chance_alone_lead_away_from_the_best_action(critic):
         assert (act(exploration) != best).all() and (abs(act(exploration)) <= 1).all()
 
 
+@pytest.mark.long
 def test_learns_where_to_go_on_a_line():
     """Before it has learned it gets to few places."""
     agent = agents.registry.entry("td3").make(

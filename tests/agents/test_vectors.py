@@ -85,9 +85,9 @@ def test_all_goals_at_once_are_learned_from_by_products_alone():
         ("sac", "her"),
         ("crl", "her"),
         pytest.param("gcivl", "none", marks=pytest.mark.long),
-        ("gciql", "infogoal"),
-        ("qrl", "none"),
-        ("hiql", "none"),
+        pytest.param("gciql", "infogoal", marks=pytest.mark.long),  # An update of each is held to OGBench's code.
+        pytest.param("qrl", "none", marks=pytest.mark.long),
+        pytest.param("hiql", "none", marks=pytest.mark.long),
     ],
 )
 def test_goes_through_an_epoch_and_an_evaluation(name, method):

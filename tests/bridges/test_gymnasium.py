@@ -7,7 +7,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 
 from infogoal_jax import UserError
 from infogoal_jax.bridges import gymnasium as bridge
@@ -92,12 +91,6 @@ def test_the_goal_can_be_given_and_must_lie_in_the_workspace(reach):
         reach.reset(options={"golf": [1.3, 0.7, 0.5]})
 
 
-def test_goals_follow_the_seed_and_go_on_without_one(reach):
-    first, again, other = (reach.reset(seed=seed)[0]["desired_goal"] for seed in (3, 3, 4))
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-    assert not np.array_equal(reach.reset()[0]["desired_goal"], reach.reset()[0]["desired_goal"])
-
-
 def test_a_simulation_that_diverges_truncates_the_episode_and_stays_finite(reach):
     before, _ = reach.reset(seed=5)
     reach.state = reach.state.replace(gripper=reach.state.gripper * np.nan)
@@ -132,15 +125,6 @@ def test_wrong_calls_are_explained(reach):
         reach.compute_reward(np.zeros((2, 3)), np.zeros(3), {})
 
 
-@pytest.mark.parametrize("place", [0, 1])
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, "x", None])
-def test_a_goal_that_is_no_number_is_neither_near_nor_far(reach, place, wrong):
-    goals = [[0.1, 0.2, 0.3], [0.1, 0.2, 0.3]]
-    goals[place] = [0.1, wrong, 0.3]
-    with pytest.raises(UserError, match=("achieved_goal", "desired_goal")[place]):
-        reach.compute_reward(*goals, {})
-
-
 def test_dense_rewards_are_minus_the_distance():
     env = gymnasium.make("infogoal/FetchReachDense-v0").unwrapped
     reward = env.compute_reward(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0]]), {})
@@ -154,31 +138,6 @@ def test_without_gymnasium_the_remedy_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "infogoal_jax.bridges.gymnasium")
     with pytest.raises(UserError, match=r"pip install 'infogoal-jax\[gymnasium\]'"):
         importlib.import_module("infogoal_jax.bridges.gymnasium")
-
-
-@pytest.mark.long
-def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
-    assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-    start, _ = vector.reset(seed=0)
-    assert vector.observation_space.contains(start)
-    steps = [vector.step(np.ones((3, 4), np.float32)) for _ in range(9)]
-    assert all(vector.observation_space.contains(step[0]) for step in steps)
-    goals = np.array([step[0]["desired_goal"] for step in steps])
-    assert [step[3].all() for step in steps] == [number in (3, 8) for number in range(9)]
-    assert not any(step[2].any() for step in steps)
-    assert np.array_equal(goals[:4], np.broadcast_to(start["desired_goal"], (4, 3, 3)))
-    assert len(np.unique(goals[[0, 4]].reshape(6, 3), axis=0)) == 6
-    seen, reward, _, _, info = steps[4]
-    assert (
-        np.allclose(seen["achieved_goal"], start["achieved_goal"], atol=1e-6)
-        and not reward.any()
-        and not info["_is_success"].any()
-    )
-    seen, reward, _, _, info = steps[3]
-    assert (
-        np.array_equal(reward, vector.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}))
-        and info["_is_success"].all()
-    )
 
 
 @pytest.mark.long
