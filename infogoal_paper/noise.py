@@ -34,10 +34,11 @@ from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import load_environment
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import jit
-from infogoal_jax.runner.sweep import Callback, Sweep, over_environments, stacked, train_sweep
+from infogoal_jax.runner.sweep import Callback, Sweep, train_sweep
 from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
+from infogoal_paper.batches import over_environments, stacked
 from infogoal_paper.manifest import PRESET, Lane, Run
 from infogoal_paper.noise_numbers import DATA_SETS, EPSILONS, HELD_OUT, NUMBERS, PARTS, SEEDS, methods_of
 from infogoal_paper.plan import config_of
