@@ -19,6 +19,7 @@ them is replaced by what the numbers of the source give. Sources:
               sb3_her/reference.csv.gz
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
     jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
+    ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
@@ -49,6 +50,7 @@ from infogoal_paper import (
     jaxgcrl,
     noise_numbers,
     numbers,
+    ogbench,
     positions,
     scores,
     sufficiency,
@@ -306,6 +308,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "positions": positions.tables,
     "continuous": continuous.tables,
     "jaxgcrl": jaxgcrl.tables,
+    "ogbench": ogbench.tables,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 

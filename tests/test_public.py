@@ -470,6 +470,11 @@ CALLS = {
         {"env": LINE, "config_overrides": None},
         {"env": lambda value: value is LINE, "config_overrides": none},
     ),
+    "envs.from_recordings": Call(
+        envs.from_recordings,
+        {"episodes": Episodes(**WALK), "held_out": None, "scaled": False},
+        {"episodes": never, "held_out": lambda value: none(value) or value is zero, "scaled": flag},
+    ),
     "envs.from_jaxgcrl": Call(envs.from_jaxgcrl, {"name": ""}, {"name": never}),
     "of_arrays": Call(
         lambda **arrays: of_arrays(arrays),
@@ -623,7 +628,13 @@ CALLS = {
 SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry", "GoalBox.of"]
 SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
 SURE += ["run", "sweep", "envs.from_brax", "envs.from_playground", "of_arrays", "of_arrays of transitions"]
-SURE += ["with_recordings", "presets.method_named", "presets.name_of", "presets.default_hyperparameters"]
+SURE += [
+    "with_recordings",
+    "envs.from_recordings",
+    "presets.method_named",
+    "presets.name_of",
+    "presets.default_hyperparameters",
+]
 SURE += ["step of a batch", "compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
 """Functions that work as they are called here."""
 

@@ -7,7 +7,7 @@ in OGBench's environment.
     python benchmarks/peers/ogbench_peer.py --data DATA.npz --impls ogbench/impls --out RESULTS.jsonl
         [--agents gcivl gciql qrl crl hiql] [--sides ours theirs] [--seeds 5] [--updates 50000] [--evaluations 3]
         [--side-by-side 1] [--budget 540] [--learners none infogoal] [--held-out 1 2]
-    python benchmarks/peers/ogbench_peer.py --table RESULTS.jsonl [MORE.jsonl] [--keep COMPACT.json]
+    python -m infogoal_paper.ogbench RESULTS.jsonl            # put results into docs/results, and print the tables
 
 `--collect` writes data of our own: a scripted policy goes from cell to cell of OGBench's maze, by a breadth-first
 search, to one goal after the other. It is not OGBench's file. Whoever has that one gives its path (`--data`), and its
@@ -23,12 +23,12 @@ program, which draws its batches on the device; theirs one seed a program, as it
 both after the same number of updates, in the tasks of the environment, from the same starts. The best action is taken.
 
 `--learners` puts goal encoders before our agents, and `--held-out` the cells of these tasks' goals out of training.
+`--goal-noise` evaluates once more, with goals told wrong by a normal error of this size.
 """
 
 import argparse
 import dataclasses
 import importlib
-import json
 import multiprocessing
 import os
 import random
@@ -40,6 +40,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from infogoal_paper.ogbench import Outcome, append, of_outcomes, read
 
 AGENTS = {"gcivl": "gcivl", "gciql": "gciql", "qrl": "qrl", "crl": "offline_crl", "hiql": "hiql"}
 """Ours by OGBench's names."""
@@ -98,31 +100,6 @@ class Job:
     def key(self) -> tuple:
         """What it is known by in the results."""
         return (self.side, self.agent, self.learner, self.seeds)
-
-
-@dataclasses.dataclass
-class Outcome:
-    """What a program did so far."""
-
-    side: str
-    agent: str
-    learner: str
-    seeds: list[int]
-    data: str
-    """Of which kind it was, and its size."""
-    machine: str
-    rate: float | None
-    """Updates of all its seeds a second, alone on the device; None: not measured."""
-    compiling: float
-    """Seconds to make and compile it, beside the others."""
-    updates: list[int]
-    """Of a seed, at each evaluation."""
-    success: list[list[list[float]]]
-    """[seeds][evaluations][tasks]"""
-    held_out: list[int]
-    """Tasks whose goals' cells were out of training."""
-    sizes: str = ""
-    """Batch and layers, where they are not OGBench's."""
 
 
 # OGBench's environment.
@@ -231,11 +208,13 @@ class Environments:
             self.connections.append(own)
             self.processes.append(process)
 
-    def run(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-        """Whether each episode ended in success, by act(observations [E, F], goals [E, G]) -> actions [E, A]."""
+    def run(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> np.ndarray:
+        """Whether each episode ended in success, by act(observations [E, F], goals [E, G]) -> actions [E, A]. noise:
+        standard deviation of an error in the goal that `act` is told, which stays for the episode."""
         for connection in self.connections:
             connection.send(("begin", None))
         seen, goals = map(np.concatenate, zip(*(connection.recv() for connection in self.connections), strict=True))
+        goals = goals + np.float32(noise) * np.random.default_rng(0).standard_normal(goals.shape, np.float32)
         while True:
             actions = np.asarray(act(seen, goals))
             for connection, share in zip(self.connections, self.shares, strict=True):
@@ -277,56 +256,18 @@ def flags_of(impls: Path, dataset: str, agent: str) -> dict[str, float]:
 
 
 def our_task(data: Path, dataset: str, held_out: list[int]) -> Any:
-    """A task to learn offline whose goals are whole states, reached at that very state alone, as in OGBench. It is
-    never acted in: its world stays as it is.
-
-    held_out: tasks; no goal near theirs is learned from.
-    """
-    import flax.struct
+    """A task to learn offline whose goals are whole states. held_out: tasks; no goal near theirs is learned from."""
     import jax.numpy as jnp
 
-    from infogoal_jax.data.episodes import load
-    from infogoal_jax.envs.goal_task import GoalTask
-    from infogoal_jax.envs.recordings import with_recordings
-    from infogoal_jax.goals import GoalBox
+    from infogoal_jax import envs
 
-    episodes = load(data)
-    actions = episodes.actions.shape[1]
-
-    @flax.struct.dataclass
-    class Recorded(GoalTask):
-        """Recorded states."""
-
-        action_size = actions
-
-        def begin(self, key):
-            return self.goals.draw(key)
-
-        def move(self, world, action):
-            return world
-
-        def observation(self, world):
-            return world
-
-        def achieved_goal(self, world):
-            return world
-
-        def achieved_in(self, observation):
-            return observation
-
-    infos = make_environment(dataset).unwrapped.task_infos if held_out else []
-    centres = np.array([infos[task - 1]["goal_xy"] for task in held_out], np.float32).reshape(-1, 2)
-
-    def is_held_out(goal):
-        return (jnp.abs(goal[:2] - centres) < HALF_CELL).all(-1).any()
-
-    space = GoalBox.of(
-        episodes.observations.min(0) - 1e-3,
-        episodes.observations.max(0) + 1e-3,
-        seen=None if held_out else jnp.asarray,
-        use_of=is_held_out if held_out else None,
+    if not held_out:
+        return envs.from_recordings(data)
+    infos = make_environment(dataset).unwrapped.task_infos
+    centres = np.array([infos[task - 1]["goal_xy"] for task in held_out], np.float32)
+    return envs.from_recordings(
+        data, held_out=lambda goal: (jnp.abs(goal[:2] - centres) < HALF_CELL).all(-1).any(), scaled=True
     )
-    return with_recordings(Recorded(space, radius=1e-3), episodes)
 
 
 def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
@@ -483,6 +424,8 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         compiling=compiling,
         updates=[],
         success=[[] for _ in job.seeds],
+        noisy=[[] for _ in job.seeds] if words.goal_noise else [],
+        noise=words.goal_noise,
         held_out=words.held_out,
         sizes="" if sizes.hidden == (512, 512, 512) else f"batch {sizes.batch_size}, layers {sizes.hidden}",
     )
@@ -502,10 +445,15 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
             episodes = [(task, each) for task in range(1, tasks + 1) for each in range(sizes.episodes)]
             processes = max(1, len(job.seeds) * (os.cpu_count() or 1) // words.programs)
             environments = Environments(words.dataset, episodes * len(job.seeds), processes)
-        reached = environments.run(program.act).reshape(len(job.seeds), tasks, sizes.episodes).mean(-1)
+        shape = len(job.seeds), tasks, sizes.episodes
+        reached = environments.run(program.act).reshape(shape).mean(-1)
         outcome.updates.append(done)
         for of_seed, found in zip(outcome.success, reached.tolist(), strict=True):
             of_seed.append(found)
+        if words.goal_noise:
+            noisy = environments.run(program.act, words.goal_noise).reshape(shape).mean(-1)
+            for of_seed, found in zip(outcome.noisy, noisy.tolist(), strict=True):
+                of_seed.append(found)
         append(words.out, outcome)
         shown = " ".join(f"{value:.2f}" for value in reached.mean(0))
         print(
@@ -516,78 +464,6 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         )
     if environments is not None:
         environments.close()
-
-
-# Results.
-
-
-def append(path: Path, outcome: Outcome) -> None:
-    """Write an outcome as a line; a later one of the same program counts."""
-    with path.open("a") as file:
-        file.write(json.dumps(dataclasses.asdict(outcome)) + "\n")
-
-
-def read(paths: list[Path]) -> dict[tuple, Outcome]:
-    """The last outcome of each program that these files have."""
-    found = {}
-    for path in paths:
-        for line in path.read_text().splitlines() if path.exists() else []:
-            outcome = Outcome(**json.loads(line))
-            found[(outcome.side, outcome.agent, outcome.learner, tuple(outcome.seeds), *outcome.held_out)] = outcome
-    return found
-
-
-def final_success(outcomes: list[Outcome], updates: int) -> np.ndarray:
-    """Success [seeds, tasks] of a side after so many updates."""
-    return np.array(
-        [seed[each.updates.index(updates)] for each in outcomes for seed in each.success if updates in each.updates]
-    )
-
-
-def print_tables(found: dict[tuple, Outcome]) -> None:
-    """The tables of all goals, and of each set of tasks whose goals were held out."""
-    for held in sorted({tuple(outcome.held_out) for outcome in found.values()}):
-        print_table([outcome for outcome in found.values() if tuple(outcome.held_out) == held], held)
-
-
-def print_table(outcomes: list[Outcome], held: tuple[int, ...]) -> None:
-    """Success of both sides with 95 % intervals, and speeds with their ratios."""
-    from infogoal_jax.report.statistics import mean_interval
-
-    rows: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for outcome in outcomes:
-        sides = rows.setdefault((outcome.agent, outcome.learner), {"ours": [], "theirs": []})
-        sides[outcome.side].append(outcome)
-    print(
-        "| agent | goals | updates | ours, success | OGBench's, success | ours, updates/s | one seed | "
-        "OGBench's | ratio | of one seed |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
-    for (agent, learner), sides in rows.items():
-        marks = [{*each.updates} for of_side in sides.values() for each in of_side if each.updates]
-        common = set.intersection(*marks) if marks else set()
-        shown, last = {}, max(common, default=0)
-        for side, of_side in sides.items():
-            success = final_success(of_side, last)
-            shown[side] = mean_interval(success.mean(-1)).show() + f" ({len(success)})" if len(success) else ""
-        together = next((each.rate for each in sides["ours"] if len(each.seeds) > 1), None)
-        alone = next((each.rate for each in sides["ours"] if len(each.seeds) == 1), None)
-        other = next((each.rate for each in sides["theirs"] if each.rate), None)
-        rates = [f"{rate:,.0f}" if rate else "" for rate in (together, alone, other)]
-        ratios = [f"{rate / other:.1f}" if rate and other else "" for rate in (together, alone)]
-        cells = (agent, learner, f"{last:,}", shown["ours"], shown["theirs"], *rates, *ratios)
-        print(f"| {' | '.join(cells)} |")
-    if held:
-        print("\n| agent | goals | held-out tasks | other tasks |\n|---|---|---|---|")
-        for (agent, learner), sides in rows.items():
-            last = max((mark for each in sides["ours"] for mark in each.updates), default=0)
-            success = final_success(sides["ours"], last)
-            if len(success):
-                out = np.isin(np.arange(success.shape[1]) + 1, held)
-                parts = [mean_interval(success[:, which].mean(-1)).show() for which in (out, ~out)]
-                print(f"| {agent} | {learner} | {parts[0]} | {parts[1]} |")
-    about = sorted({"; ".join(filter(None, (each.data, each.sizes, each.machine))) for each in outcomes})
-    print("\nSeeds in brackets. " + ". ".join(about) + ".\n")
 
 
 def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
@@ -626,6 +502,7 @@ def main() -> None:
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
     parser.add_argument("--learners", nargs="+", default=["none"], choices=list(LEARNERS))
     parser.add_argument("--held-out", type=int, nargs="+", default=[])
+    parser.add_argument("--goal-noise", type=float, default=0.0)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--updates", type=int, default=50_000)
     parser.add_argument("--evaluations", type=int, default=3)
@@ -635,17 +512,7 @@ def main() -> None:
     parser.add_argument("--side-by-side", type=int, default=1)
     parser.add_argument("--budget", type=float, default=float("inf"))
     parser.add_argument("--toy", action="store_true")
-    parser.add_argument("--table", type=Path, nargs="+")
-    parser.add_argument("--keep", type=Path)
     words = parser.parse_args()
-    if words.table is not None:
-        found = read(words.table)
-        print_tables(found)
-        if words.keep is not None:
-            words.keep.unlink(missing_ok=True)
-            for outcome in found.values():
-                append(words.keep, outcome)
-        return
     if words.collect is not None:
         collect_all(words.collect, words.dataset, words.episodes, words.episode_steps)
         return
@@ -672,7 +539,7 @@ def main() -> None:
         for process in processes:
             process.start()
         meeting.watch(processes, 0.5 * (deadline - time.time()))
-    print_tables(read([words.out]))
+    print("\n\n".join(of_outcomes(read([words.out])).values()))
 
 
 if __name__ == "__main__":

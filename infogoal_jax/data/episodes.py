@@ -14,7 +14,7 @@ The layouts that `ogbench.load_dataset` makes in memory are read too: compact, w
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -183,17 +183,19 @@ def check_episodes(path: str | os.PathLike) -> list[Finding]:
             members = of_arrays(members).members()
         except UserError as error:
             return [*findings, Finding("error", str(path), str(error))]
-    findings += [Finding("error", f"{path}: {where}", problem) for where, problem in faults_of(members)]
+    faults = faults_of(members, archive.sizes)
+    findings += [Finding("error", f"{path}: {where}", problem) for where, problem in faults]
     if not any(finding.severity == "error" for finding in findings):
         findings += [Finding("warning", f"{path}: {where}", problem) for where, problem in remarks_on(members)]
     return sorted(findings, key=lambda finding: finding.severity)
 
 
-def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
-    """Every fault of these members of a file: where, and what is wrong with the remedy."""
+def faults_of(members: Mapping[str, np.ndarray], unreadable: Iterable[str] = ()) -> Iterator[tuple[str, str]]:
+    """Every fault of these members of a file: where, and what is wrong with the remedy. unreadable: names of members
+    whose fault is known."""
     wrong = False
     for name in MEMBERS:
-        if name not in members:
+        if name not in members and name not in unreadable:
             yield name, f"is missing; {REMEDY}"
     for fault in faults_of_arrays(members):
         wrong |= fault[0] == "lengths"
@@ -252,6 +254,8 @@ def vectors(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
 def observed(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
     """What is wrong with observations."""
     image = array.dtype == np.uint8 and array.ndim == 4
+    if image and array.shape[3] > array.shape[1]:
+        yield name, f"is uint8 {list(array.shape)}, more channels than rows; give [N, H, W, C]"
     if not image and (array.ndim != 2 or array.dtype.kind != "f"):
         yield name, f"is {array.dtype} {list(array.shape)}; give vectors float32 [N, F], or images uint8 [N, H, W, C]"
 

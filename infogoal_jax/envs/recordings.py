@@ -1,9 +1,14 @@
 """Recorded episodes (data/episodes.py) as what an agent learns from: `with_recordings` makes of a task with continuous
-goals the same task to be learned offline. It is simulated in evaluations alone."""
+goals the same task to be learned offline. It is simulated in evaluations alone. `from_recordings` makes a task of
+recordings alone, whose environment is elsewhere."""
 
 import dataclasses
+import os
+from collections.abc import Callable
 
+import flax.struct
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
@@ -11,7 +16,11 @@ from infogoal_jax.data.archives import content_of
 from infogoal_jax.data.episodes import Episodes, load
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.replay import Trajectories
+
+MARGIN = 1e-3
+"""Of a goal that is reached at its very state alone, in its units."""
 
 
 def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTask:
@@ -52,6 +61,78 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     content = content_of(episodes.observations, episodes.actions)
     said = {"source": f"{task.source}; learned from recordings {content}"} if told else {}
     return task.replace(recorded=jax.tree.map(jax.device_put, rows), **said)
+
+
+@flax.struct.dataclass
+class RecordedTask(GoalTask):
+    """Recorded states, each of which is a goal, reached there alone. Nobody can act in it: the world stays as it
+    began, so that success in evaluations means nothing."""
+
+    action_size: int = flax.struct.field(pytree_node=False, default=1)
+    """Numbers in an action."""
+    source: str = flax.struct.field(pytree_node=False, default="recordings alone; success is measured elsewhere")
+    """What is told of it."""
+
+    def begin(self, key: jax.Array) -> jax.Array:
+        """A state between the corners of those recorded."""
+        return self.goals.draw(key)
+
+    def move(self, world: jax.Array, action: jax.Array) -> jax.Array:
+        """The same state."""
+        return world
+
+    def observation(self, world: jax.Array) -> jax.Array:
+        """The state."""
+        return world
+
+    def achieved_goal(self, world: jax.Array) -> jax.Array:
+        """The state."""
+        return world
+
+    def achieved_in(self, observation: jax.Array) -> jax.Array:
+        """The state."""
+        return observation
+
+
+def from_recordings(
+    episodes: Episodes | str | os.PathLike,
+    *,
+    held_out: Callable[[jax.Array], jax.Array] | None = None,
+    scaled: bool = False,
+) -> GoalTask:
+    """A task to be learned offline from recordings alone, as OGBench has it: goals are whole states. What is learned is
+    judged in an environment elsewhere (docs/reference/datasets.md).
+
+    episodes: `Episodes` or the file of them, whose observations are vectors. held_out: says of a goal float32 [F]
+    whether it is kept out of training. scaled: whether the goal encoder sees goals from -1 to 1 instead of as they are.
+
+    Raises `UserError` for recordings of images, and for what `with_recordings` refuses.
+    """
+    if isinstance(episodes, str | os.PathLike):
+        episodes = load(episodes)
+    require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give a file, or Episodes")
+    checks.flag(scaled, "scaled")
+    seen = episodes.observations
+    require(
+        seen.ndim == 2,
+        "observations",
+        f"{seen.dtype} {list(seen.shape[1:])}",
+        "goals are states as vectors here; for images write a task, and with_recordings",
+    )
+    if held_out is not None:
+        checks.function(held_out, "held_out", 1, "give a function of a goal, or leave it out")
+    with np.errstate(over="ignore"):  # Corners that are not finite are refused.
+        margin = np.maximum(MARGIN, 1e-5 * np.abs(seen).max(0)).astype(np.float32)
+    space = GoalBox.of(
+        seen.min(0) - margin,
+        seen.max(0) + margin,
+        use_of=held_out,
+        seen=None if scaled else jnp.asarray,
+        num_evaluated=1,
+    )
+    alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)
+    task = RecordedTask(space, radius=MARGIN, episode_length=1, action_size=episodes.actions.shape[1])
+    return with_recordings(task, alone)
 
 
 def recorded_in(task: GoalTask, path: str) -> GoalTask:

@@ -182,9 +182,13 @@ def check_compiled(programs: Iterable[jax.stages.Compiled], config: Any, usual: 
 
 def too_large(config: Any, usual: Any, needed: int, memory: int) -> UserError:
     """The refusal of a training that needs so many bytes. It names the field that is the most times larger than in the
-    usual configuration; the task where none is."""
+    usual configuration; where none is the recordings that are learned from, or the task."""
     needs = f"training needs {needed / GIB:,.1f} GiB, {room_in_words(memory)}"
     fields = list(larger_fields(config, usual))
+    recordings = getattr(getattr(config, "env", None), "dataset", "")
+    if not fields and recordings:
+        remedy = "leave out some of its episodes, or take a larger device"
+        return UserError(f"env.dataset = {recordings!r}: {needs}: {remedy}")
     if not fields:
         return UserError(f"task = {config.task!r}: {needs}: give smaller sizes, or take a larger device")
     name, value, preset = max(fields, key=lambda field: size(field[1]) / max(1, size(field[2])))

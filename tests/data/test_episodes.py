@@ -15,7 +15,7 @@ from infogoal_jax.bridges.minari import episodes_of as episodes_of_minari
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
-from infogoal_jax.envs.recordings import episodes_of, with_recordings
+from infogoal_jax.envs.recordings import episodes_of, from_recordings, with_recordings
 from infogoal_jax.replay import steps_left
 from infogoal_jax.train.rollout import collect
 
@@ -91,6 +91,10 @@ FAULTS = {
     "lengths": ({"actions": np.zeros((11, 1))}, ["lengths: disagree: observations 12, actions 11, terminals 12"]),
     "no end": ({"terminals": np.zeros(12)}, ["terminals: no episode ends"]),
     "open end": ({"terminals": np.eye(12)[5]}, ["terminals[11]: is 0: the last 6 observations"]),
+    "channels first": (
+        {"observations": np.zeros((12, 3, 8, 8), np.uint8)},
+        ["observations: is uint8 [12, 3, 8, 8], more channels than rows; give [N, H, W, C]"],
+    ),
     "other marks": ({"terminals": np.full(12, 2.0)}, ["terminals: is float64 [12]; give 0 or 1"]),
     "nothing but ends": ({"terminals": np.ones(12)}, ["terminals: no episode has a step"]),
     "nothing": ({"observations": np.zeros((0, 2)), "actions": np.zeros((0, 1)), "terminals": np.zeros(0)}, ["shape"]),
@@ -169,6 +173,13 @@ def test_pickled_arrays_are_refused_and_what_is_no_npz(tmp_path):
     with pytest.raises(UserError, match=r"walks.npz.*npz"):
         load(file)
     assert not zipfile.is_zipfile(file)
+
+
+def test_a_member_that_cannot_be_read_is_not_missing(tmp_path):
+    file = tmp_path / "walks.npz"
+    np.savez(file, **recorded(observations=np.array([[1], [2, 3]], object)))
+    (found,) = check_episodes(file)
+    assert "pickled objects, which run code" in found.problem
 
 
 def test_what_may_surprise_is_a_warning(tmp_path):
@@ -338,3 +349,28 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
     assert "learned from recordings" in task.source
     with pytest.raises(UserError, match=r"^env.dataset = '[^']*gone.npz': no such file"):
         envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "gone.npz")))
+
+
+def test_a_task_of_recordings_alone_has_states_as_goals():
+    """As OGBench's: every state is a goal, seen as it is, and is achieved where it was recorded."""
+    episodes = of_arrays(recorded(observations=SIDE, actions=SIDE))
+    task = from_recordings(episodes)
+    assert task.goals.shape == SIDE.shape[1:] and task.action_size == SIDE.shape[1]
+    rows = task.recorded
+    assert np.array_equal(rows.record, rows.observation) and rows.valid.sum() == episodes.lengths.sum()
+    goal = jnp.asarray(SIDE[3])
+    assert task.reached(goal, goal) and np.array_equal(task.goals.inputs_of(goal), goal)
+    assert np.abs(from_recordings(episodes, scaled=True).goals.inputs_of(jnp.asarray(SIDE))).max() <= 1
+
+
+def test_a_region_of_recorded_states_is_held_out():
+    middle = float(np.median(SIDE[:, 0]))
+    task = from_recordings(of_arrays(recorded(observations=SIDE, actions=SIDE)), held_out=lambda goal: goal[0] > middle)
+    desired = np.asarray(jax.vmap(task.goals.draw)(jax.random.split(jax.random.key(0), 50)))
+    assert (desired[:, 0] <= middle).all() and {"train", "test"} <= {*task.goals.groups}
+
+
+def test_recordings_of_images_need_a_task():
+    images = np.zeros((12, 8, 8, 3), np.uint8)
+    with pytest.raises(UserError, match=r"observations = 'uint8 \[8, 8, 3\]': .*with_recordings"):
+        from_recordings(of_arrays(recorded(observations=images)))

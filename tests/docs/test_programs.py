@@ -5,8 +5,11 @@ notebook your_own; the notebooks are saved with their pictures, and run from top
 import base64
 import contextlib
 import dataclasses
+import importlib.util
 import io
 import re
+import sys
+import types
 
 import hand_made
 import jax
@@ -29,6 +32,7 @@ from infogoal_jax.train.evaluation import evaluate, random_policy
 
 LEARNER, AGENT, TASK = "guides/own_parts.md", "guides/own_agent.md", "guides/own_task.md"
 ROBOT = "guides/bridges.md#robots-of-brax,-playground-and-jaxgcrl"
+OGBENCH = "reference/datasets.md#recorded-episodes"
 """The pages."""
 SMALL = {"evaluation_starts": 1}
 LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
@@ -58,7 +62,7 @@ LARGEST = 600_000
 each_notebook = pytest.mark.parametrize("name", DRAWS)
 
 
-@pytest.mark.parametrize(("page", "lines"), [(LEARNER, 40), (AGENT, 80), (TASK, 60), (ROBOT, 10)])
+@pytest.mark.parametrize(("page", "lines"), [(LEARNER, 40), (AGENT, 80), (TASK, 60), (ROBOT, 10), (OGBENCH, 15)])
 def test_a_page_needs_few_lines(page, lines):
     assert lines_of(block_of(page)) <= lines
 
@@ -262,6 +266,43 @@ def test_the_arm_of_brax_is_trained_on():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((result.params, result.metrics)))
     assert np.array_equal(*(task.observe(state) for state in states)) and len(task.shown) == 6
     assert np.linalg.norm(task.achieved(states[0])) == pytest.approx(0.21, abs=0.01)  # It begins stretched out.
+
+
+class Plane:
+    """A point that goes where the action says, for five steps, as OGBench's environments are played."""
+
+    def reset(self, options):
+        assert options == {"task_id": 1}
+        self.place, self.steps = np.zeros(2), 0
+        return self.place, {"goal": np.ones(2)}
+
+    def step(self, action):
+        assert action.shape == (2,) and (np.abs(action) <= 1).all()
+        self.place, self.steps = self.place + action, self.steps + 1
+        return self.place, 0.0, False, self.steps == 5, {"success": 0.0}
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # Of Gymnasium, about OGBench's spaces.
+def test_a_policy_that_learned_from_a_file_plays_in_ogbench(tmp_path, monkeypatch, capsys):
+    """In its own environment where it is installed."""
+    played = []
+    if importlib.util.find_spec("ogbench") is None:
+        made = types.SimpleNamespace(make_env_and_datasets=lambda name, env_only: played.append(Plane()) or played[0])
+        monkeypatch.setitem(sys.modules, "ogbench", made)
+    monkeypatch.chdir(tmp_path)
+    generator = np.random.default_rng(0)
+    walks = {"observations": generator.normal(size=(40, 2)), "actions": generator.uniform(-1, 1, (40, 2))}
+    np.savez("walks.npz", **walks, terminals=np.arange(40) % 20 == 19)
+    sizes = SMALL | {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "batch_size": 8}
+    load = presets.load
+
+    def prepare(patch):
+        patch.setattr(presets, "load", lambda *words, **changes: load(*words, **(changes | sizes)))
+
+    with run(block_of(OGBENCH), "maze", envs.registry, presets.registry, prepare=prepare) as names:
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(names["params"]))
+    assert all(env.steps == 5 for env in played) and capsys.readouterr().out.strip()
 
 
 def read(name: str):

@@ -219,6 +219,13 @@ def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
         memory.at_once(train, 100_000, distributed.seed_mesh(1))
 
 
+def test_recordings_are_blamed_where_nothing_else_is_larger():
+    config = presets.load("point_maze", "none")
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, dataset="walks.npz"))
+    said = str(memory.too_large(config, config, 90 * memory.GIB, 80 * memory.GIB))
+    assert said.startswith("env.dataset = 'walks.npz': training needs 90.0 GiB, a device has 80.0 GiB: leave out some")
+
+
 @pytest.mark.long
 def test_figures_take_a_handful_of_programs(tmp_path):
     """What is not jitted is compiled operation by operation: hundreds of programs, and each takes its time on a GPU."""

@@ -1,0 +1,217 @@
+"""Our offline agents beside OGBench's own programs: the results of benchmarks/peers/ogbench_peer.py.
+
+    python -m infogoal_paper.ogbench [FILE ...]    # put results into docs/results/ogbench.jsonl, and print the tables
+    python -m infogoal_paper.pages ogbench         # write the tables of docs/research/speed.md
+
+A file has a line for each evaluation of a program; the last line of a program has all before it, and counts. Results
+at other sizes than OGBench's are not taken.
+"""
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
+
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl"
+NAMES = {"crl": "offline_crl"}
+"""Agents that have another name here than in OGBench."""
+
+
+@dataclasses.dataclass
+class Outcome:
+    """What a program did so far."""
+
+    side: str
+    agent: str
+    learner: str
+    seeds: list[int]
+    data: str
+    """Of which kind it was, and its size."""
+    machine: str
+    rate: float | None
+    """Updates of all its seeds a second, alone on the device; None: not measured."""
+    compiling: float
+    """Seconds to make and compile it, beside the others."""
+    updates: list[int]
+    """Of a seed, at each evaluation."""
+    success: list[list[list[float]]]
+    """[seeds][evaluations][tasks]"""
+    held_out: list[int]
+    """Tasks whose goals' cells were out of training."""
+    sizes: str = ""
+    """Batch and layers, where they are not OGBench's."""
+    noisy: list[list[list[float]]] = dataclasses.field(default_factory=list)
+    """As success, where the policy is told its goals with an error; empty where that was not asked for."""
+    noise: float = 0.0
+    """Standard deviation of that error, in the units of a goal."""
+
+    def program(self) -> tuple:
+        """What it is known by in the results."""
+        return self.side, self.agent, self.learner, tuple(self.seeds), *self.held_out
+
+
+def read(paths: Iterable[Path]) -> dict[tuple, Outcome]:
+    """The last outcome of each program that these files have, with the highest speed that was measured of it: what
+    else ran on the device can only have made it slower."""
+    found: dict[tuple, Outcome] = {}
+    for path in paths:
+        for line in path.read_text().splitlines() if path.exists() else []:
+            outcome = Outcome(**json.loads(line))
+            before = found.get(outcome.program())
+            if before is not None:
+                rate = max(before.rate or 0.0, outcome.rate or 0.0) or None
+                later = outcome if len(outcome.updates) >= len(before.updates) else before
+                outcome = dataclasses.replace(later, rate=rate)
+            found[outcome.program()] = outcome
+    return found
+
+
+def append(path: Path, outcome: Outcome) -> None:
+    """Write an outcome as a line."""
+    with path.open("a") as file:
+        file.write(json.dumps(dataclasses.asdict(outcome)) + "\n")
+
+
+def take(paths: Iterable[Path]) -> dict[tuple, Outcome]:
+    """Put these results into the numbers."""
+    found = read([NUMBERS, *paths])
+    small = sorted({outcome.sizes for outcome in found.values() if outcome.sizes})
+    if small:
+        raise UserError(f"files: results with {small[0]}; give those with OGBench's sizes alone")
+    NUMBERS.unlink(missing_ok=True)
+    for outcome in found.values():
+        append(NUMBERS, outcome)
+    return found
+
+
+def success_at(outcomes: Iterable[Outcome], updates: int, kind: str = "success") -> np.ndarray:
+    """Success [seeds, tasks] of programs of one side after so many updates. kind: `success` or `noisy`."""
+    return np.array(
+        [
+            seed[each.updates.index(updates)]
+            for each in outcomes
+            if updates in each.updates
+            for seed in getattr(each, kind)
+        ]
+    )
+
+
+def shown(success: np.ndarray) -> str:
+    """Mean over tasks with the interval over seeds; nothing where there is none."""
+    return tight(mean_interval(success.mean(-1))) if len(success) else ""
+
+
+def sides_of(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
+    """The programs of both sides, by agent and goal encoder."""
+    found: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for outcome in outcomes:
+        found.setdefault((outcome.agent, outcome.learner), {"ours": [], "theirs": []})[outcome.side].append(outcome)
+    return found
+
+
+def last_common(sides: dict[str, list[Outcome]]) -> int:
+    """The most updates after which every side that was evaluated was; 0 where none was."""
+    marks = [
+        {mark for each in of_side for mark in each.updates}
+        for of_side in sides.values()
+        if any(each.updates for each in of_side)
+    ]
+    return max(set.intersection(*marks), default=0) if marks else 0
+
+
+def foot(outcomes: list[Outcome], marks: set[int]) -> str:
+    """The line below a table: after how many updates, on which data, where and when."""
+    after = " or ".join(f"{mark:,}" for mark in sorted(marks))
+    said = sorted({word for outcome in outcomes for word in (outcome.data, outcome.sizes) if word})
+    found = "; ".join([*said, machines_in_words(outcome.machine for outcome in outcomes)])
+    return f"{found[:1].upper()}{found[1:]}." + (f" Success after {after} updates." if after else "")
+
+
+def with_seeds(success: np.ndarray, usual: int) -> str:
+    """As `shown`, with the number of seeds behind it where it is not the usual one."""
+    return shown(success) + (f" ({len(success)})" if len(success) not in (0, usual) else "")
+
+
+def peers(outcomes: list[Outcome]) -> str:
+    """Success of both sides after equal updates with 95 % intervals, and updates a second; behind ours stands how many
+    times OGBench's they are."""
+    sides = {key: found for key, found in sides_of(outcomes).items() if found["theirs"]}
+    usual = max(len(outcome.seeds) for outcome in outcomes)
+    rows, marks = [], set()
+    for (agent, learner), found in sides.items():
+        theirs = next((each.rate for each in found["theirs"] if each.rate), None)
+        rates = [
+            next((each.rate for each in found["ours"] if (len(each.seeds) > 1) == several and each.rate), None)
+            for several in (True, False)
+        ]
+        speeds = [
+            (f"{rate:,.0f}" if rate else "") + (f" ({rate / theirs:.1f}x)" if rate and theirs else "") for rate in rates
+        ]
+        last = last_common(found)
+        marks |= {last} if last else set()
+        success = [with_seeds(success_at(found[side], last), usual) for side in ("ours", "theirs")]
+        name = f"`{NAMES.get(agent, agent)}`" + ("" if learner == "none" else f", {learner}")
+        rows.append([name, *speeds, f"{theirs:,.0f}" if theirs else "", *success])
+    head = ["agent", f"updates/s, {usual} seeds", "one seed", "OGBench's", "success", "OGBench's"]
+    seeds = f" {usual} seeds, or as in brackets." if marks else ""
+    return f"{markdown_lines(head, rows)}\n\n{foot(outcomes, marks)}{seeds}"
+
+
+def encoders(outcomes: list[Outcome]) -> str:
+    """Success of goal encoders over several agents: on tasks whose goals were not held out, on those whose were, and on
+    all where the policy is told its goals with an error."""
+    sides, marks, usual = sides_of(outcomes), set(), max(len(outcome.seeds) for outcome in outcomes)
+    agents = list(dict.fromkeys(agent for agent, _ in sides))
+    rows = {learner: dict.fromkeys(agents, "") for learner in dict.fromkeys(learner for _, learner in sides)}
+    for (agent, learner), found in sides.items():
+        last = max((mark for each in found["ours"] for mark in each.updates), default=0)
+        success, noisy = (success_at(found["ours"], last, kind) for kind in ("success", "noisy"))
+        if len(success):
+            marks.add(last)
+            out = np.isin(np.arange(success.shape[1]) + 1, found["ours"][0].held_out)
+            parts = shown(success[:, ~out]), shown(success[:, out]), shown(noisy)
+            rows[learner][agent] = ", ".join(filter(None, parts)) + (
+                f" ({len(success)})" if len(success) != usual else ""
+            )
+    noise = sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy})
+    cell = "A cell: tasks with goals as in training, tasks with goals held out"
+    cell += f", all tasks with goals told wrong by {', '.join(noise)} (one standard deviation)" if noise else ""
+    head = ["goal encoder", *(f"`{NAMES.get(agent, agent)}`" for agent in agents)]
+    table = markdown_lines(head, [[learner, *cells.values()] for learner, cells in rows.items()])
+    return f"{table}\n\n{foot(outcomes, marks)} {usual} seeds. {cell}."
+
+
+def of_outcomes(found: dict[tuple, Outcome]) -> dict[str, str]:
+    """The tables by name; those that have a row."""
+    plain = [outcome for outcome in found.values() if not outcome.held_out]
+    held = [outcome for outcome in found.values() if outcome.held_out and outcome.updates]
+    tables = {"peers": peers(plain)} if plain else {}
+    return tables | ({"encoders": encoders(held)} if held else {})
+
+
+def tables() -> dict[str, str]:
+    """The tables of the page; none without numbers."""
+    return of_outcomes(read([NUMBERS]))
+
+
+def main() -> None:
+    """Take what is named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE")
+    arguments = parser.parse_args()
+    try:
+        found = take(arguments.files) if arguments.files else read([NUMBERS])
+    except UserError as error:
+        parser.error(str(error))
+    print("\n\n".join(of_outcomes(found).values()))
+
+
+if __name__ == "__main__":
+    main()
