@@ -131,18 +131,18 @@ def new_steps(cell, valid) -> NewSteps:
     return NewSteps(jnp.zeros_like(cell), jnp.full((*cell.shape, 1), -1), cell, jnp.asarray(valid))
 
 
-def visited(desired: int, achieved, mask) -> Visited:
+def visited(desired_goal: int, achieved, mask) -> Visited:
     """One transition towards a goal: achieved [1, n, K] and mask [1, n], all in one cell."""
-    return Visited(jnp.asarray([desired]), achieved, jnp.zeros(mask.shape, jnp.int32), mask)
+    return Visited(jnp.asarray([desired_goal]), achieved, jnp.zeros(mask.shape, jnp.int32), mask)
 
 
 def learner_batch(
-    encode, inputs=None, pairs=None, goals=None, desired=None, transitions=None, features=None
+    encode, inputs=None, pairs=None, goals=None, desired_goal=None, transitions=None, features=None
 ) -> LearnerBatch:
     """What a learner's loss may look at, of which a test needs only a part. inputs: [N, ...] of all goals; features:
     [N, F] of the observations that they are."""
     features_of = None if features is None else lambda indices: features[indices]
-    return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions, features_of)
+    return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired_goal, transitions, features_of)
 
 
 def untrained(train: Train) -> Train:

@@ -153,16 +153,18 @@ def make(config: GCBConfig) -> Learner:
         decoder."""
         transitions = batch.transitions
         features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
-        at_goal = [batch.features_of(batch.desired)] if config.grounded else []
+        at_goal = [batch.features_of(batch.desired_goal)] if config.grounded else []
         codes, next_codes, *grounding = paired.apply(
-            params["paired"], jnp.stack([features, following, *at_goal]), batch.inputs_of(batch.desired)
+            params["paired"], jnp.stack([features, following, *at_goal]), batch.inputs_of(batch.desired_goal)
         )
         partner = jax.random.permutation(key, len(codes))
         target = bisimulation_target(
             transitions.reward, next_codes, transitions.discount, partner, config.reward_weight
         )
         paired_error = paired_loss(codes, target, partner)
-        psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes, *grounding)
+        psi_error = difference_loss(
+            condition(params, batch.encode(batch.desired_goal), features).mean, codes, *grounding
+        )
         metrics = {
             "paired_loss": paired_error,
             "psi_loss": psi_error,

@@ -94,7 +94,7 @@ def make(config: InfoBotConfig) -> Learner:
     def loss(params, state, batch: LearnerBatch, hyper, key):
         """beta KL(p(z | s, g) || N(0, I)) of the desired goals in bits (InfoBot's bound on I(A; G | S)); the authors'
         0.01 has this scale."""
-        code = batch.encode(batch.desired)
+        code = batch.encode(batch.desired_goal)
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
@@ -118,7 +118,7 @@ def make(config: InfoBotConfig) -> Learner:
         rarity = jax.lax.rsqrt(state.counts[visited.cell] + 1.0)
         if config.state_conditioned:
             return rarity, state
-        kl = jax.lax.stop_gradient(kl_to_standard_normal(encode(visited.desired)))
+        kl = jax.lax.stop_gradient(kl_to_standard_normal(encode(visited.desired_goal)))
         state = state.replace(scale=state.scale + SCALE_RATE * (kl.mean() - state.scale))
         return kl[:, None] / jnp.maximum(state.scale, 1e-6) * rarity, state
 

@@ -202,7 +202,7 @@ def make(config: InfoGoalConfig) -> Learner:
         achieved goal, divided by its running mean. A step that achieves nothing gets the largest distance of the
         batch."""
         achieved, mask = visited.achieved, visited.mask
-        target = encode(visited.desired).mean[:, None, None]
+        target = encode(visited.desired_goal).mean[:, None, None]
         distance = jnp.linalg.norm(encode(with_placeholders(achieved)).mean - target, axis=-1)
         nearest = jnp.where(is_goal(achieved), distance, jnp.inf).min(-1)
         found = jnp.isfinite(nearest)

@@ -86,7 +86,7 @@ class InputSpec(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """B transitions of up to n steps, with the desired goals `LearnerBatch.desired`."""
+    """B transitions of up to n steps, with the desired goals `LearnerBatch.desired_goal`."""
 
     features: jax.Array
     """float32 [B, F] of the first state, with the gradient of the state encoder."""
@@ -109,7 +109,7 @@ class LearnerBatch(NamedTuple):
     """Pairs as `SampleSpec` asks for; None without any."""
     goals: jax.Array | None
     """[num_goals, *shape], goals that are known or desired in training; None unless `SampleSpec` asks for them."""
-    desired: jax.Array
+    desired_goal: jax.Array
     """[B, *shape], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
     gave them."""
     transitions: Steps
@@ -123,7 +123,7 @@ class LearnerBatch(NamedTuple):
 class Visited:
     """Where B transitions of n steps led, for an intrinsic reward."""
 
-    desired: jax.Array
+    desired_goal: jax.Array
     """[B, *shape], desired goals."""
     achieved: jax.Array
     """[B, n, K, *shape], known goals achieved after each step, padded with "no goal"."""
@@ -139,7 +139,7 @@ class Visited:
 class NewSteps(NamedTuple):
     """The steps that an epoch collected, R rows of T steps, for a learner whose state depends on all of them."""
 
-    desired: jax.Array
+    desired_goal: jax.Array
     """[R, T, *shape], desired goals."""
     achieved: jax.Array
     """[R, T, K, *shape], goals achieved after each step, padded with "no goal"."""

@@ -107,8 +107,8 @@ def make(config: MixedConfig) -> Relabelling:
 
         anything = any_known(keys[2], achieved.known, goal)
         low_step, high_step = jnp.minimum(ahead, end), jnp.minimum(ahead, of_goal)
-        wanted = select(from_episode, achieved_at(keys[3], of_goal), anything)
-        return wanted, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
+        desired_goal = select(from_episode, achieved_at(keys[3], of_goal), anything)
+        return desired_goal, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
 
     def prepare(context: Context) -> Table:
         return Table(context.achievements, context.discount)

@@ -43,11 +43,11 @@ def check_actions(env: Environment, actions: Any, num_episodes: int) -> None:
     require(of_kind and actions.shape == shape, "policy", f"a function that returns {found}", f"return {wanted}")
 
 
-def check_starts(env: Environment, starts: Any, desired: jax.Array) -> None:
+def check_starts(env: Environment, starts: Any, desired_goals: jax.Array) -> None:
     """Raise `UserError` unless `starts` are states [M, S] of the environment for the M desired goals, in their
     order."""
     one = jax.eval_shape(env.reset_to, jax.random.key(0), jax.ShapeDtypeStruct(env.goals.shape, env.goals.dtype))
-    axes, goals = np.shape(starts.goal)[: np.ndim(starts.goal) - len(env.goals.shape)], jnp.shape(desired)
+    axes, goals = np.shape(starts.goal)[: np.ndim(starts.goal) - len(env.goals.shape)], jnp.shape(desired_goals)
     remedy = f"give states [M, S] of env.reset_to for the {goals[0]} goals, goals first"
     require(len(axes) == 2, "starts", f"states {list(axes)}", remedy)
     if axes[0] != goals[0]:
@@ -56,9 +56,9 @@ def check_starts(env: Environment, starts: Any, desired: jax.Array) -> None:
     several = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*axes, *leaf.shape), leaf.dtype), one)
     require(jax.tree.structure(starts) == jax.tree.structure(one), "starts", type(starts).__name__, remedy)
     checks.same_shapes(starts, several, "starts", "the states of this environment")
-    if checks.is_traced((starts.goal, desired)):
+    if checks.is_traced((starts.goal, desired_goals)):
         return
-    own, asked = np.asarray(starts.goal), np.asarray(desired)
+    own, asked = np.asarray(starts.goal), np.asarray(desired_goals)
     different = np.flatnonzero((own != asked[:, None]).reshape(len(asked), -1).any(1))
     if different.size:
         row = different[0]

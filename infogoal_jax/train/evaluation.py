@@ -64,8 +64,8 @@ def seed_key(seed: int, number: int = 0) -> jax.Array:
 
 def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:
     """Draw start states for each goal: goals [M, *shape] to states [M, num_starts]."""
-    desired = jnp.repeat(goals, num_starts, axis=0)
-    states = jax.vmap(env.reset_to)(jax.random.split(seed_key(seed), desired.shape[0]), desired)
+    desired_goals = jnp.repeat(goals, num_starts, axis=0)
+    states = jax.vmap(env.reset_to)(jax.random.split(seed_key(seed), desired_goals.shape[0]), desired_goals)
     return jax.tree.map(lambda leaf: leaf.reshape(len(goals), num_starts, *leaf.shape[1:]), states)
 
 
@@ -81,15 +81,15 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     check_is_environment(env, "give the policy first, and an environment after it")
     policy = checked_policy(env, policy)
     seed, is_view = checks.seed(seed), isinstance(goals, GoalView)
-    desired = env.goals.checked(goals.goals if is_view else goals, "goals", axes=1)
+    desired_goals = env.goals.checked(goals.goals if is_view else goals, "goals", axes=1)
     if hasattr(starts, "goal"):
-        check_starts(env, starts, desired)
+        check_starts(env, starts, desired_goals)
         states = starts
     else:
         count = checks.whole(
             starts, "starts", 1, checks.MOST_ENVS, "give a whole number from 1 on, or start states [M, S]"
         )
-        states = draw_starts(env, desired, count, seed)
+        states = draw_starts(env, desired_goals, count, seed)
     if is_view:
         check_shown(goals.shown, *states.time.shape, "goals")
     episodes = run_side_by_side(env, policy, [goals], states, seed_key(seed, 1))

@@ -12,12 +12,12 @@ from infogoal_jax.train.parts import Networks, Setup, code_seen, goal_encoding
 
 
 def draw_goals(
-    spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired: jax.Array, key: jax.Array
+    spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired_goal: jax.Array, key: jax.Array
 ) -> tuple[jax.Array | None, jax.Array]:
     """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, a share of those
     that were desired, else any known one. None: all goals of the task. And the share of each in the loss.
 
-    known: bool [N]; achieved: int32 [B, n, K], padded with -1; desired: int32 [B].
+    known: bool [N]; achieved: int32 [B, n, K], padded with -1; desired_goal: int32 [B].
     """
     if not 0 < spec.num_goals < known.shape[0]:
         return None, shares(known)
@@ -26,10 +26,10 @@ def draw_goals(
     num_desired = min(round(spec.desired_share * spec.num_goals), spec.num_goals - num_achieved)
     of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
     found = of_transition[jax.random.randint(which_key, (num_achieved,), 0, achieved.shape[0], jnp.int32)]
-    wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired), jnp.int32)]
+    place = jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired_goal), jnp.int32)
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
     found = jnp.where(found >= 0, found, anything[:num_achieved])
-    goals = jnp.concatenate([found, wanted, anything[num_achieved + num_desired :]])
+    goals = jnp.concatenate([found, desired_goal[place], anything[num_achieved + num_desired :]])
     return goals, shares(known[goals])
 
 

@@ -134,9 +134,9 @@ def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, nu
     if setup.env.goals.finite:
         return goal_pairs.choose_from_mask(key, goals_to_learn(setup, experience), (num,))
     known_key, desired_key, choose_key = jax.random.split(key, 3)
-    desired = jax.vmap(setup.env.goals.draw)(jax.random.split(desired_key, num))
+    desired_goal = jax.vmap(setup.env.goals.draw)(jax.random.split(desired_key, num))
     take_known = draw_chance(choose_key, 0.5, (num,)) & experience.known.any()
-    return select(take_known, experience.known.draw(known_key, (num,)), desired)
+    return select(take_known, experience.known.draw(known_key, (num,)), desired_goal)
 
 
 def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
@@ -189,11 +189,11 @@ def with_relabelled_goals(
     """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
     they are given."""
     relabelling, (relabel_key, choose_key) = setup.parts.relabelling, jax.random.split(key)
-    desired = experience.buffer.goal[row, step]
-    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired)
+    desired_goal = experience.buffer.goal[row, step]
+    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired_goal)
     if relabelling.skip_reached:
         before = jax.tree.map(lambda leaf: leaf[row, step], experience.buffer.record)
-        goal = select(setup.env.reached(before, goal), desired, goal)
+        goal = select(setup.env.reached(before, goal), desired_goal, goal)
     if relabelling.choose is None:
         return row, step, goal
     kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)

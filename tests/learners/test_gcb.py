@@ -139,7 +139,7 @@ def learner_and_params(**changes):
         codes = learner.encode(params, INPUTS)
         seen = Steps(features, next_features, rewards, DISCOUNTS)
         batch = hand_made.learner_batch(
-            codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen, features=GOAL_FEATURES
+            codes.__getitem__, INPUTS, desired_goal=jnp.asarray(GOALS), transitions=seen, features=GOAL_FEATURES
         )
         value, metrics, after = learner.loss(params, state, batch, NoHyperparameters(), key)
         assert after == state

@@ -48,15 +48,15 @@ def by_hand(code: GoalCode) -> np.ndarray:
 @pytest.mark.parametrize("state_conditioned", [False, True])
 def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditioned):
     learner, params, state, inputs = start(state_conditioned=state_conditioned)
-    desired, features = jnp.array([0, 0, 3]), jax.random.normal(jax.random.key(2), (3, FEATURES))
+    desired_goal, features = jnp.array([0, 0, 3]), jax.random.normal(jax.random.key(2), (3, FEATURES))
     state = state.replace(counts=jnp.array([0.0, 2.0, 0.0, 1.0, 0.0]))
 
     @jax.jit
     def codes_and_loss(params, state):
-        code = learner.encode(params, inputs[desired])
+        code = learner.encode(params, inputs[desired_goal])
         code = learner.condition(params, code, features) if state_conditioned else code
         encode = learner.encode(params, inputs).__getitem__
-        batch = hand_made.learner_batch(encode, desired=desired, transitions=Transitions(features))
+        batch = hand_made.learner_batch(encode, desired_goal=desired_goal, transitions=Transitions(features))
         return code, learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.03), jax.random.key(3))
 
     code, (loss, metrics, after) = codes_and_loss(params, state)
@@ -69,7 +69,10 @@ def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditione
 
 def test_beta_rises_to_its_value_over_the_warm_up():
     learner, params, state, inputs = start(warm_up=4)
-    batch, betas = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=jnp.array([0, 3])), []
+    batch, betas = (
+        hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired_goal=jnp.array([0, 3])),
+        [],
+    )
     for _ in range(6):
         loss, metrics, state = learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.4), jax.random.key(0))
         np.testing.assert_allclose(loss, metrics["beta"] * metrics["kl"] / np.log(2), rtol=1e-5)
@@ -87,7 +90,7 @@ def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
     learner, params, state, inputs = start()
     targets = jax.random.normal(jax.random.key(2), (GOALS, 4))
     params = {"goal": params, "head": jax.random.normal(jax.random.key(3), (8, 4)) / 3}
-    optimizer, desired = optax.adam(3e-3), jnp.tile(jnp.arange(GOALS), 4)
+    optimizer, desired_goal = optax.adam(3e-3), jnp.tile(jnp.arange(GOALS), 4)
 
     def train(beta):
         def step(carry, key):
@@ -95,9 +98,9 @@ def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
 
             def objective(params):
                 codes = learner.encode(params["goal"], inputs)
-                batch = hand_made.learner_batch(codes.__getitem__, desired=desired)
+                batch = hand_made.learner_batch(codes.__getitem__, desired_goal=desired_goal)
                 loss, metrics, _ = learner.loss(params["goal"], state, batch, InfoBotHyperparameters(beta=beta), key)
-                error = ((codes[desired].sample(key) @ params["head"] - targets[desired]) ** 2).mean()
+                error = ((codes[desired_goal].sample(key) @ params["head"] - targets[desired_goal]) ** 2).mean()
                 return loss + error, (metrics["kl"], error)
 
             gradient, measured = jax.grad(objective, has_aux=True)(params)
@@ -112,10 +115,10 @@ def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
     assert error[0] < error[1] < error[2]
 
 
-def bonus(learner, state, codes: GoalCode, desired, cell):
+def bonus(learner, state, codes: GoalCode, desired_goal, cell):
     """Bonus of single steps into these cells."""
     cell = jnp.asarray(cell)[:, None]
-    visited = Visited(jnp.asarray(desired), jnp.full((*cell.shape, 1), -1), cell, jnp.ones(cell.shape))
+    visited = Visited(jnp.asarray(desired_goal), jnp.full((*cell.shape, 1), -1), cell, jnp.ones(cell.shape))
     reward, state = jax.jit(lambda state: learner.intrinsic_reward(state, codes.__getitem__, visited))(state)
     return reward[:, 0], state
 
@@ -199,7 +202,9 @@ def test_kl_of_the_state_conditioned_form_shapes_both_encoders():
 
         def loss(params, features):
             encode = learner.encode(params, inputs).__getitem__
-            batch = hand_made.learner_batch(encode, desired=jnp.array([0, 1, 2]), transitions=Transitions(features))
+            batch = hand_made.learner_batch(
+                encode, desired_goal=jnp.array([0, 1, 2]), transitions=Transitions(features)
+            )
             return learner.loss(params, state, batch, InfoBotHyperparameters(), jax.random.key(0))[0]
 
         of_params, of_features = jax.tree.map(np.asarray, jax.jit(jax.grad(loss, argnums=(0, 1)))(params, features))
