@@ -123,6 +123,10 @@ class ObjectManipulation(GraphWalk):
         """The image of stored observations, int32 [...]."""
         return observation.frame
 
+    def draw(self, state: GraphState) -> jax.Array:
+        """The image of the pose, uint8 [H, W, 3]."""
+        return self.goals.inputs[state.node]
+
     def render(self, observation: Posed) -> jax.Array:
         """What the network sees: images uint8 [..., H, W, C]; privileged, rotation matrices, and cosines and sines of
         the joints, float32 [..., 9 + 2 J]."""

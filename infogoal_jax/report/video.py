@@ -1,5 +1,5 @@
-"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of Fetch, of tasks that
-draw themselves and of tasks with image goals. No screen and no OpenGL needed."""
+"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of Fetch and of tasks
+that draw themselves. No screen and no OpenGL needed."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +17,7 @@ from infogoal_jax import checks, files
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
+from infogoal_jax.envs.target_states import SubgoalState
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.runs import evaluated_masks
@@ -145,34 +146,30 @@ class Painter(NamedTuple):
 
 
 def painter_of(env: Any, height: int) -> Painter | None:
-    """The painter of a task: of a Fetch robot, of the pictures that the task draws itself, or of the frames that it
-    shows beside goal images; None for a task that cannot be drawn. What it makes raises `UserError` for a picture of
-    the task's own that is no uint8 [H, W, 3]."""
-    inner, width = env.unwrapped, height * 4 // 3
-    robot = getattr(inner, "robot", inner)
+    """The painter of a task: of a Fetch robot, or of the pictures that the task draws itself; None for a task that
+    cannot be drawn. What it makes raises `UserError` for a picture of the task's own that is no uint8 [H, W, 3]."""
+    task = env.unwrapped
+    robot = getattr(task, "robot", task)
+
+    def inside(state: Any) -> Any:
+        """The task's own state, of one that is driven by subgoals."""
+        return state.inner if isinstance(state, SubgoalState) else state
 
     def scene(state: Any) -> np.ndarray:
-        state = getattr(state, "inner", state)
-        return draw_fetch(robot, getattr(state, "robot", state), (height, width))
+        state = inside(state)
+        return draw_fetch(robot, getattr(state, "robot", state), (height, height * 4 // 3))
 
-    def scaled(frame: Any, interpolation: int) -> np.ndarray:
-        (frame,) = of_one_size([frame])
-        size = max(round(frame.shape[1] * height / frame.shape[0]), 1), height
-        return cv2.resize(frame, size, interpolation=interpolation)
-
-    def framed(state: Any) -> np.ndarray:
-        """The frame on the left, beside the room for its goal."""
-        picture = np.full((height, width, 3), 40, np.uint8)
-        frame = scaled(env.render(env.observe(state)), cv2.INTER_CUBIC)[:, :width]
-        picture[:, : frame.shape[1]] = frame
-        return picture
+    def drawn(state: Any) -> np.ndarray:
+        (frame,) = of_one_size([draw(inside(state))])
+        width = max(round(frame.shape[1] * height / frame.shape[0]), 1)
+        return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
 
     if isinstance(robot, Fetch):
         return Painter(scene, 25)
-    if env is inner and getattr(type(env), "draw", Environment.draw) is not Environment.draw:
-        draw = jax.jit(env.draw)
-        return Painter(lambda state: scaled(draw(state), cv2.INTER_NEAREST), 10)
-    return Painter(framed, 3) if has_image_goals(env) else None
+    if getattr(type(task), "draw", Environment.draw) is Environment.draw:
+        return None
+    draw = jax.jit(task.draw)
+    return Painter(drawn, 10)
 
 
 def policy_video(
@@ -188,7 +185,7 @@ def policy_video(
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    undrawn = f"is of {subject.run.config.task}; videos are of tasks with image goals, or with a draw(state)"
+    undrawn = f"is of {subject.run.config.task}; videos are of Fetch, and of tasks with a draw(state)"
     require(painter_of(env, height) is not None, "run", name, undrawn)
     require(subject.params is not None, "run", name, "holds no parameters yet, or every seed diverged; train it first")
     goals = drawn_goals(env, episodes, seed)
@@ -254,9 +251,11 @@ def drawn_video(
 
 
 def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The picture with the goal's image in its upper right corner, in a white frame."""
-    side, gap = max(32, round(0.3 * picture.shape[0])), max(2, picture.shape[0] // 60)
-    picture = picture.copy()
+    """The picture with the goal's image in its upper right corner, in a white frame; beside what is narrower than 4 by
+    3."""
+    height, width = picture.shape[:2]
+    side, gap = max(32, round(0.3 * height)), max(2, height // 60)
+    picture = np.pad(picture, ((0, 0), (0, max(height * 4 // 3 - width, 0)), (0, 0)), constant_values=40)
     picture[gap : side + 3 * gap, -side - 3 * gap : -gap] = 255
     inset = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
     picture[2 * gap : side + 2 * gap, -side - 2 * gap : -2 * gap] = inset
