@@ -36,7 +36,7 @@ def test_minari_collects_a_task_whose_images_have_one_channel(tmp_path, monkeypa
     import gymnasium
     import minari
 
-    from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium
+    from infogoal_jax.bridges.gymnasium import TaskGymnasium
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     rooms = hand_made.environment(3)
