@@ -34,6 +34,9 @@ class SweepResult:
         self.folder, self.plan = folder, plan
         self.folders = {name: folder / name if name else folder for name in plan.names}
 
+    def __repr__(self) -> str:
+        return f"SweepResult in {self.folder}: {'; '.join(filter(None, self.folders)) or 'one setting'}"
+
     def rows(self) -> list[dict[str, Any]]:
         """A row for each setting and seed: the values that differ, the seed, and every single number of its last
         evaluation. `pandas.DataFrame(result.rows())` takes them."""

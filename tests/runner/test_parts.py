@@ -125,6 +125,7 @@ def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
     result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4], learner_weight=[0.5])
     printed = capsys.readouterr().out
     assert printed.count(": compiling, ") == 2 and re.search(r": epoch 2/4  train 0\.\d\d  test .* left\n", printed)
+    assert "learning_rate=0.0001" in repr(result) and str(tmp_path / "sweep") in repr(result)
     rows = result.rows()
     assert [(row["learning_rate"], row["seed"]) for row in rows] == [(1e-4, 0), (1e-4, 1), (3e-4, 0), (3e-4, 1)]
     assert all(row["epoch"] == 4 and 0 <= row["train_goal/success_rate"] <= 1 for row in rows)
