@@ -53,7 +53,7 @@ NEED = {
     "peers/fetch_sb3_her.py": "Stable-Baselines3",
     "peers/gridworld_peer_leo.py": "a checkout of purejaxgcrl",
     "peers/jaxgcrl_peer.py": "a checkout of JaxGCRL",
-    "peers/ogbench_peer.py": "ogbench, and a checkout of it",
+    "peers/ogbench_peer.py": "ogbench, and a checkout of it; tests/paper/test_ogbench.py runs our side",
     "peers/offline_peer.py": "PyTorch, and arrays that offline.py writes",
 }
 """What a benchmark needs that is not here."""

@@ -41,8 +41,6 @@ from typing import Any
 
 import numpy as np
 
-from infogoal_paper.ogbench import Outcome, append, of_outcomes, read
-
 AGENTS = {"gcivl": "gcivl", "gciql": "gciql", "qrl": "qrl", "crl": "offline_crl", "hiql": "hiql"}
 """Ours by OGBench's names."""
 LEARNERS = {
@@ -398,6 +396,7 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
     started = time.perf_counter()
     program = (ours if job.side == "ours" else theirs)(job, words, sizes)
     from infogoal_jax.report.statistics import describe_machine
+    from infogoal_paper.ogbench import Outcome, append
 
     compiling = time.perf_counter() - started
 
@@ -481,7 +480,7 @@ def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
                 yield Job("theirs", agent, "none", (seed,))
 
 
-def is_done(job: Job, found: dict[tuple, Outcome], sizes: Sizes, held_out: list[int]) -> bool:
+def is_done(job: Job, found: dict[tuple, Any], sizes: Sizes, held_out: list[int]) -> bool:
     """Whether the results have all of a program."""
     outcome = found.get((*job.key(), *held_out))
     return outcome is not None and (not job.train or sizes.updates in outcome.updates)
@@ -489,6 +488,8 @@ def is_done(job: Job, found: dict[tuple, Outcome], sizes: Sizes, held_out: list[
 
 def main() -> None:
     """Do what is asked for and is not there yet."""
+    from infogoal_paper.ogbench import of_outcomes, read  # Not by the processes that step environments.
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--collect", type=Path)
     parser.add_argument("--episodes", type=int, default=1000)

@@ -1,9 +1,16 @@
 """The tables of our offline agents beside OGBench."""
 
 import dataclasses
+import importlib.util
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
+from places import ROOT
 
 from infogoal_jax import UserError
 from infogoal_paper import ogbench
@@ -73,3 +80,84 @@ def test_goal_encoders_are_judged_on_held_out_tasks_apart():
     assert "2 seeds" in said and "told wrong by 1 " in said
     found = ogbench.of_outcomes({each.program(): each for each in (plain, outcome(updates=(10,)), outcome("theirs"))})
     assert found.keys() == {"peers", "encoders"}
+
+
+PLANE = """
+import gymnasium, numpy as np
+
+class Plane(gymnasium.Env):
+    action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+    observation_space = gymnasium.spaces.Box(-9, 9, (2,), np.float32)
+    maze_map = np.pad(np.zeros((2, 3), int), 1, constant_values=1)
+    task_infos = [{"init_ij": (1, 1), "goal_ij": (2, 3), "goal_xy": (12.0, 8.0)},
+                  {"init_ij": (2, 1), "goal_ij": (1, 3), "goal_xy": (12.0, 4.0)}]
+
+    def ij_to_xy(self, ij):
+        return 4.0 * ij[1], 4.0 * ij[0]
+
+    def xy_to_ij(self, xy):
+        return int(np.clip(round(xy[1] / 4), 1, 2)), int(np.clip(round(xy[0] / 4), 1, 3))
+
+    def get_xy(self):
+        return self.place
+
+    def set_goal(self, goal_ij):
+        self.cur_goal_xy = self.ij_to_xy(goal_ij)
+
+    def reset(self, seed=None, options=None):
+        info = options["task_info"] if "task_info" in options else self.task_infos[options["task_id"] - 1]
+        self.place = np.array(self.ij_to_xy(info["init_ij"]))
+        self.set_goal(info["goal_ij"])
+        return self.place.copy(), {"goal": np.array(self.cur_goal_xy)}
+
+    def step(self, action):
+        self.place = np.clip(self.place + action, (4, 4), (12, 8))
+        reached = bool(np.linalg.norm(self.place - self.cur_goal_xy) < 1)
+        return self.place.copy(), 0.0, reached, False, {"success": float(reached)}
+
+gymnasium.register("pointmaze-medium-v0", Plane, max_episode_steps=9)
+"""
+"""What the benchmark does with OGBench's maze, for where that is not installed."""
+
+
+@pytest.fixture
+def of_ogbench(tmp_path):
+    """Folders: of its package, and of its agents. They are real where it is installed and `OGBENCH_IMPLS` names the
+    folder `impls` of a checkout of it; else our side alone can be run, in a plane."""
+    impls = os.environ.get("OGBENCH_IMPLS", "")
+    if impls and importlib.util.find_spec("ogbench") is not None:
+        return tmp_path, Path(impls)
+    package = tmp_path / "packages" / "ogbench"
+    package.mkdir(parents=True)
+    for name, text in (("__init__", ""), ("locomaze", PLANE), ("manipspace", "")):
+        (package / f"{name}.py").write_text(text)
+    flags = "python main.py --env_name=pointmaze-medium-navigate-v0 --agent=agents/gciql.py --agent.alpha=0.003\n"
+    (tmp_path / "hyperparameters.sh").write_text(flags)
+    return package.parent, tmp_path
+
+
+@pytest.mark.long
+def test_the_benchmark_runs_at_toy_size(of_ogbench, tmp_path):
+    """It collects, trains, evaluates in processes, and goes on where it stopped; both sides where OGBench is there."""
+    packages, impls = of_ogbench
+    sides = ["ours", "theirs"] if (impls / "agents").is_dir() else ["ours"]
+    places = [str(ROOT), str(packages), os.environ.get("PYTHONPATH", "")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places)), "JAX_PLATFORMS": "cpu"}
+    data, results = str(tmp_path / "own.npz"), tmp_path / "results.jsonl"
+
+    def peer(*words):
+        line = [sys.executable, str(ROOT / "benchmarks" / "peers" / "ogbench_peer.py"), *map(str, words)]
+        return subprocess.run(line, env=environment, cwd=tmp_path, check=True, capture_output=True, text=True)
+
+    peer("--collect", data, "--episodes", 3, "--episode-steps", 31)
+    with np.load(data) as arrays:
+        assert arrays["observations"].shape == (93, 2) and arrays["terminals"].sum() == 3
+        assert np.abs(arrays["actions"]).max() <= 1 and arrays["observations"].std(0).min() > 0.1
+    words = ["--data", data, "--impls", impls, "--out", results, "--toy", "--agents", "gciql", "--seeds", 2]
+    words += ["--held-out", 1, "--goal-noise", 1, "--sides", *sides]
+    table = peer(*words).stdout
+    assert "| none | " in table and "atch 8, layers (16, 16)" in table
+    last = ogbench.read([results])["ours", "gciql", "none", (0, 1), 1]
+    assert last.updates == [4, 8] and np.shape(last.success) == np.shape(last.noisy) == (2, 2, len(last.success[0][0]))
+    before = results.read_text()
+    assert peer(*words).stdout == table and results.read_text() == before
