@@ -1,6 +1,7 @@
 """Environments of other libraries by their names, from the command line to a run that remembers them."""
 
 import dataclasses
+import importlib.util
 import sys
 
 import pytest
@@ -104,11 +105,22 @@ def test_the_command_line_knows_each_library():
 
 
 @pytest.mark.long
-def test_a_run_remembers_its_environment(tmp_path, capsys):
-    """It is trained, gone on with, evaluated and exported."""
+@pytest.mark.filterwarnings("ignore")  # Of packages that ask for others' older versions.
+@pytest.mark.parametrize(
+    ("name", "package", "said"),
+    [
+        ("brax:reacher", "brax", "reacher of brax"),
+        ("playground:ReacherEasy", "mujoco_playground", "ReacherEasy of MuJoCo Playground"),
+        ("jaxgcrl:ant", "jaxgcrl", "ant of JaxGCRL"),
+    ],
+)
+def test_a_run_remembers_its_environment(name, package, said, tmp_path, capsys):
+    """It is trained, gone on with, evaluated and exported, where the package is installed."""
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
     run = str(tmp_path / "run")
-    assert main(["train", "--env", "brax:reacher", "--method", "none", *SMALL.split(), "--out", run]) == 0
-    assert "reacher of brax" in capsys.readouterr().out
+    assert main(["train", "--env", name, "--method", "none", *SMALL.split(), "--out", run]) == 0
+    assert said in capsys.readouterr().out
     for words in (["train", "--resume", run, "--num-epochs", "2", "--no-figures"], ["evaluate", run]):
         assert main(words) == 0
     assert main(["export", run, "--out", str(tmp_path / "policy.npz")]) == 0
