@@ -174,10 +174,13 @@ def test_settings_of_the_agent_that_make_no_sense_are_refused(own_agent):
 
 @pytest.mark.long
 def test_the_task_is_learned():
-    """Every line of the page is run; of the goals that were never desired in training some are reached too."""
+    """Every line of the page is run; goals that were never desired in training are reached three times as often as by a
+    random policy. How often depends on the seed."""
     with run(block_of(TASK), *TWO_ROOMS, name_of_module="__main__") as names:
-        metrics = names["result"].metrics
-    assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.5
+        metrics, env = names["result"].metrics, names["train"].env
+    held_out = env.goals.evaluated[env.goals.uses == 2]
+    chance = evaluate(random_policy(env), env, held_out, 10).success.mean()
+    assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 3 * chance > 0
 
 
 def test_every_command_knows_the_task_and_its_defaults():
