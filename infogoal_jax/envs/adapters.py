@@ -72,6 +72,7 @@ class AdaptedTask(GoalTask):
     """What is simulated, in words."""
 
     can_fail = True
+    costly_reset = True
 
     def reset(self, key: jax.Array) -> Episode:
         """A new episode for a training goal: with one reset of the environment, where its own goals are desired."""

@@ -21,7 +21,15 @@ from infogoal_jax.replay import Trajectories
 FLAGS = ("terminated", "truncated", "diverged")
 LEAST_SQUARE = float(np.finfo(np.float32).tiny)
 """What is smaller is 0 on a device."""
-SWITCHES = ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path", "ends_at_goal", "can_fail")
+SWITCHES = (
+    "discrete",
+    "has_target_states",
+    "goals_are_observations",
+    "has_shortest_path",
+    "ends_at_goal",
+    "can_fail",
+    "costly_reset",
+)
 STORED = (2, 3)
 """Axes of stored arrays, for the functions that take any."""
 DRAWN = 256

@@ -80,6 +80,8 @@ class Environment:
     every step at the goal is worth 1, and success is to be there at the end."""
     can_fail = False
     """Whether an episode may end in failure, such as a fall; then `failed` says which did."""
+    costly_reset = False
+    """Whether a reset costs about as much as a step, so that one is computed only where an episode has ended."""
     num_cells: int = 1
     """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False

@@ -73,8 +73,7 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         finished = states.terminated | states.truncated
         actions = policy(env.observe(states), states.goal, act_key)
         stepped = jax.vmap(env.step)(states, actions)
-        fresh = jax.vmap(env.reset)(jax.random.split(reset_key, num_envs))
-        following = chosen(finished, fresh, stepped)
+        following = restarted(env, finished, stepped, jax.random.split(reset_key, num_envs))
         outcome = {
             "observation": env.observe(states),
             "record": env.achieved(states),
@@ -95,6 +94,22 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     for name, final in last.items():
         rows[name] = jax.tree.map(lambda leaf, end: jnp.concatenate([leaf, end[:, None]], axis=1), rows[name], final)
     return env_states, Trajectories(**rows)
+
+
+def restarted(env, finished: jax.Array, states, keys: jax.Array):
+    """The states [E], with new episodes where finished, bool [E]; keys [E].
+
+    Where a reset is costly it is computed only if an episode has ended: as a loop of one round or none, which stays one
+    under `jax.vmap` over seeds, where both branches of a `jax.lax.cond` would be computed.
+    """
+
+    def restart(states):
+        return chosen(finished, jax.vmap(env.reset)(keys), states)
+
+    if not env.costly_reset:
+        return restart(states)
+    left = (finished.any(), states)
+    return jax.lax.while_loop(lambda left: left[0], lambda left: (jnp.zeros((), bool), restart(left[1])), left)[1]
 
 
 def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:

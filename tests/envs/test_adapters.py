@@ -159,6 +159,36 @@ def test_goals_are_the_environments_own_uniform_or_some_held_out():
     assert apart.goals.groups == ("train", "test") and (desired <= 0).all() and np.unique(desired).size > 150
 
 
+def test_a_reset_is_computed_only_where_an_episode_has_ended():
+    """Of several seeds side by side, too; the rows are those of an environment that is reset at every step."""
+    resets = []
+
+    class Counting(Line):
+        def reset(self, rng):
+            jax.debug.callback(lambda key: resets.append(1), rng)
+            return super().reset(rng)
+
+    def rows(task, num_steps):
+        states = jax.jit(jax.vmap(jax.vmap(task.reset)))(jax.random.split(KEYS[0], (2, 4)))
+        jax.block_until_ready(states)
+        jax.effects_barrier()
+        resets.clear()
+        found = jax.jit(jax.vmap(lambda states, key: collect(task, states, stay, key, num_steps)[1]))(states, KEYS[:2])
+        jax.block_until_ready(found)
+        jax.effects_barrier()
+        return found, len(resets)
+
+    task = envs.from_brax(Counting(), ends_at_goal=False, **ARGUMENTS)
+    assert rows(task, EPISODE)[1] == 0
+    found, count = rows(task, 2 * EPISODE + 1)
+
+    class Eager(type(task)):
+        costly_reset = False
+
+    eager, every_step = rows(Eager(**vars(task)), 2 * EPISODE + 1)
+    assert 0 < count < every_step and jax.tree.all(jax.tree.map(np.array_equal, found, eager))
+
+
 def test_what_is_not_finite_is_taken_back():
     class Breaking(Line):
         def step(self, state, action):
