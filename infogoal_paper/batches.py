@@ -18,8 +18,9 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.runner import memory
-from infogoal_jax.runner.compilation import chunk_of, jit
-from infogoal_jax.runner.sweep import Member, Programs, Sweep, batched_hyper, is_finite, side_by_side
+from infogoal_jax.runner.compilation import jit
+from infogoal_jax.runner.distributed import seed_mesh
+from infogoal_jax.runner.sweep import Member, Programs, Sweep, batched_hyper, is_finite, programs_from, side_by_side
 from infogoal_jax.train.program import Train
 from infogoal_paper import measure
 from infogoal_paper.manifest import PRESET, Lane, Run
@@ -264,27 +265,15 @@ def in_several(train: Train, envs: Sequence[Any], seeds: Sequence[int], hyper: H
     shape = len(envs), len(seeds)
     numbered = jnp.broadcast_to(jnp.asarray(list(seeds), jnp.uint32), shape)
     initial = jit(over(lambda seed, own, env: train.initial(jax.random.key(seed), own, env), (0, 0)))
-    chunk = chunk_of(
+    return programs_from(
+        config,
         over(lambda state, numbers, own, env: train.epochs(state, numbers, own, env), (0, None, 0)),
         over(train.evaluation, (0, 0)),
-    )
-    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32)
-    shapes = jax.eval_shape(initial, numbered, hyper, leaves)
-    room = memory.device_memory(jax.devices()[0])
-
-    def usual():
-        return memory.preset_of(config)
-
-    return Programs(
-        shapes=shapes,
-        initial=lambda: initial(numbered, hyper, leaves),
-        compiling=lambda: chunk.compiling(
-            shapes, numbers, hyper, leaves, check=lambda *found: memory.check_compiled(found, config, usual, room)
-        ),
-        placed=jax.device_put,
-        check=lambda: memory.check_traced(
-            [program.jaxpr for program in chunk.trace(shapes, numbers, hyper, leaves)], config, usual, room
-        ),
+        lambda: initial(numbered, hyper, leaves),
+        jax.eval_shape(initial, numbered, hyper, leaves),
+        (hyper, leaves),
+        seed_mesh(1),
+        jax.device_put,
     )
 
 

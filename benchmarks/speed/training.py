@@ -36,17 +36,19 @@ import argparse
 import functools
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
-from benchmarks.speed.operations import operations
 from infogoal_jax import compiled, jit, make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
+from infogoal_jax.runner.compilation import inner_programs
 from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shardings_of
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side
@@ -134,6 +136,31 @@ def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: in
         (states, *_), elapsed = timed(program, states, number, *shared)
         seconds.append(elapsed)
     return seconds[1:], compile_seconds
+
+
+def operations(program: Jaxpr | ClosedJaxpr, platform: str | None = None) -> int:
+    """Equations of a jaxpr, with those of inner functions and loop bodies counted wherever they stand; of what is
+    written for several kinds of devices, the form for this one alone, since the others are not compiled.
+
+    platform: "cpu" or "cuda"; None for the devices in use.
+    """
+    platform = platform or {"gpu": "cuda"}.get(jax.default_backend(), jax.default_backend())
+    jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
+    return sum(
+        1 + sum(operations(inner, platform) for inner in compiled_programs(equation, platform))
+        for equation in jaxpr.eqns
+    )
+
+
+def compiled_programs(equation: JaxprEqn, platform: str) -> Iterator[Jaxpr | ClosedJaxpr]:
+    """The inner jaxprs of an equation, without those that are for other devices."""
+    platforms = equation.params.get("branches_platforms")
+    if platforms is None:
+        for value in equation.params.values():
+            yield from inner_programs(value)
+    else:
+        branches = zip(equation.params["branches"], platforms, strict=True)
+        yield next(branch for branch, names in branches if names is None or platform in names)
 
 
 def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, float]:

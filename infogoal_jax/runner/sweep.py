@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.config import Hyperparameters
+from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.runner import distributed, memory
 from infogoal_jax.runner.compilation import chunk_of, jit
@@ -210,26 +210,60 @@ def side_by_side(
         return train.evaluation(member.state, floats_of(member, common), env)
 
     initial = jit(over_seeds(begin, count, at_once, mesh), out_shardings=by_member)
-    chunk = chunk_of(epochs_over_seeds(epochs, count, at_once, mesh), over_seeds(evaluation, count, at_once, mesh))
     keys = jax.ShapeDtypeStruct((count,), jax.random.key(0).dtype)
     shapes = placed(jax.eval_shape(initial, (keys, hyper), *shared), by_member)
-    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32)
-    room = memory.mesh_memory(mesh)
 
     def first():
         keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds), jnp.uint32))
         return initial(jax.device_put((keys, hyper), by_member), *shared)
+
+    return programs_from(
+        config,
+        epochs_over_seeds(epochs, count, at_once, mesh),
+        over_seeds(evaluation, count, at_once, mesh),
+        first,
+        shapes,
+        shared,
+        mesh,
+        lambda states: jax.device_put(states, by_member),
+    )
+
+
+def programs_from(
+    config: TrainConfig,
+    epochs: Callable,
+    evaluation: Callable,
+    initial: Callable[[], Any],
+    shapes: Any,
+    shared: tuple,
+    mesh: jax.sharding.Mesh,
+    place: Callable[[Any], Any],
+) -> Programs:
+    """The programs of members side by side.
+
+    Args:
+        epochs: (states, numbers of epochs, *shared) -> (states, metrics).
+        evaluation: (states, *shared) -> metrics.
+        initial: () -> states, before the first epoch.
+        shapes: of the states.
+        shared: what both take beside the states.
+        mesh: the devices that they run on, against whose memory they are held.
+        place: (states as arrays of the host) -> states on these devices.
+    """
+    chunk = chunk_of(epochs, evaluation)
+    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32)
+    room = memory.mesh_memory(mesh)
 
     def usual():
         return memory.preset_of(config)
 
     return Programs(
         shapes=shapes,
-        initial=first,
+        initial=initial,
         compiling=lambda: chunk.compiling(
             shapes, numbers, *shared, check=lambda *found: memory.check_compiled(found, config, usual, room)
         ),
-        placed=lambda states: jax.device_put(states, by_member),
+        placed=place,
         check=lambda: memory.check_traced(
             [program.jaxpr for program in chunk.trace(shapes, numbers, *shared)], config, usual, room * mesh.size
         ),

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.speed.operations import operations
+from benchmarks.speed.training import operations
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.figures import draw_figures

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.speed.operations import operations
+from benchmarks.speed.training import operations
 from infogoal_jax.envs import load
 from infogoal_jax.envs.fetch import contacts, model, physics
 from infogoal_jax.envs.fetch.environment import LATE
