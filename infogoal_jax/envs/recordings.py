@@ -131,7 +131,8 @@ def from_recordings(
         num_evaluated=1,
     )
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)
-    task = RecordedTask(space, radius=MARGIN, episode_length=1, action_size=episodes.actions.shape[1])
+    longest = int(episodes.lengths.max())
+    task = RecordedTask(space, radius=MARGIN, episode_length=longest, action_size=episodes.actions.shape[1])
     return with_recordings(task, alone)
 
 

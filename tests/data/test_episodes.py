@@ -356,6 +356,7 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
     episodes = of_arrays(recorded(observations=SIDE, actions=SIDE))
     task = from_recordings(episodes)
     assert task.goals.shape == SIDE.shape[1:] and task.action_size == SIDE.shape[1]
+    assert task.episode_length == episodes.lengths.max()  # A learner pairs goals within a window of an episode.
     rows = task.recorded
     assert np.array_equal(rows.record, rows.observation) and rows.valid.sum() == episodes.lengths.sum()
     goal = jnp.asarray(SIDE[3])
