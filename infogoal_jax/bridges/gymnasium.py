@@ -26,6 +26,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.field_types import LARGEST_WHOLE, checked
 from infogoal_jax.goals import is_goal, no_goals_like, select
+from infogoal_jax.train.contracts import check_simulated
 
 try:
     import gymnasium
@@ -100,6 +101,7 @@ def load(task: str | Environment, config: Any) -> Environment:
         env = envs.load(task, config)
     remedy = "its goals form a finite set, and its actions are vectors; give object_search or point_maze, for example"
     require(env.discrete or not env.goals.finite, "task", task, remedy)
+    check_simulated(env, "task", task if isinstance(task, str) else type(env).__name__)
     return env
 
 

@@ -28,6 +28,7 @@ SWITCHES = (
     "has_shortest_path",
     "ends_at_goal",
     "can_fail",
+    "simulated",
     "costly_reset",
 )
 STORED = (2, 3)
@@ -83,6 +84,8 @@ def check_members(env: Environment) -> None:
     require(
         env.recorded is None or isinstance(env.recorded, Trajectories), "env.recorded", recorded, "give Trajectories"
     )
+    learnable = env.simulated or env.recorded is not None
+    require(learnable, "env.simulated", env.simulated, "give recordings in env.recorded, or a task to act in")
     num_goals = env.goals.num_goals
     arrays = {
         "train_backgrounds": ("uint8", ("B", "H", "W", "C")),

@@ -80,6 +80,9 @@ class Environment:
     every step at the goal is worth 1, and success is to be there at the end."""
     can_fail = False
     """Whether an episode may end in failure, such as a fall; then `failed` says which did."""
+    simulated = True
+    """Whether the task can be acted in. False: it has recordings alone (`recorded`), of an environment that is
+    elsewhere; nothing is evaluated then."""
     costly_reset = False
     """Whether a reset costs about as much as a step, so that one is computed only where an episode has ended."""
     num_cells: int = 1

@@ -66,12 +66,14 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
 @flax.struct.dataclass
 class RecordedTask(GoalTask):
     """Recorded states, each of which is a goal, reached there alone. Nobody can act in it: the world stays as it
-    began, so that success in evaluations means nothing."""
+    began."""
 
     action_size: int = flax.struct.field(pytree_node=False, default=1)
     """Numbers in an action."""
     source: str = flax.struct.field(pytree_node=False, default="recordings alone; success is measured elsewhere")
     """What is told of it."""
+
+    simulated = False
 
     def begin(self, key: jax.Array) -> jax.Array:
         """A state between the corners of those recorded."""

@@ -65,8 +65,8 @@ def draw_comparison(
     """Draw the runs in these folders as one figure; its path, whose ending names the format.
 
     env: the environment of the task if it is loaded already; metrics: names of the tables' columns, a panel each; none:
-    success while training and by length; captions and style: see `figures.draw_figures`; labels: what the legend calls
-    each run; none: `titles_of` them.
+    success while training and by length, or the loss where nobody can act in the task; captions and style: see
+    `figures.draw_figures`; labels: what the legend calls each run; none: `titles_of` them.
     Raises `UserError` for runs of different tasks, labels that are not one for each run and each of its own, a folder
     without a run or without numbers, a metric that no run has, or a disk that refuses.
     """
@@ -90,6 +90,7 @@ def draw_comparison(
         for metric in metrics:
             check_metric(metric, compared)
         env = load_environment(compared[0].run.config, env)
+        metrics = metrics if metrics or env.simulated else ("agent/loss",)
         save(metrics_while_training(compared, metrics, env) if metrics else comparison(compared, env), path, captions)
     return path
 

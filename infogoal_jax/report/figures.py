@@ -64,12 +64,20 @@ def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> lis
     """Draw everything that there are numbers for, in the present style; the paths of the files."""
     if not subject.evaluations.values:
         return []
+    if not subject.train.env.simulated:
+        figures = {"beta_and_accuracy": beta_and_accuracy(subject), "representations": codes_over_goals(subject)}
+        return save_all(figures, folder, format, captions)
     figures = {draw.__name__: draw(subject) for draw in (learning_curves, beta_and_accuracy, success_by_length)}
     if subject.train.env.goals.finite:
         figures |= {"success_by_goal": success_by_goal(subject), "representations": representations(subject)}
     else:
         figures |= {"success_over_goals": success_over_goals(subject), "representations": codes_over_goals(subject)}
     figures |= draw_of_task(subject)
+    return save_all(figures, folder, format, captions)
+
+
+def save_all(figures: dict[str, Figure | None], folder: Path, format: str, captions: bool) -> list[Path]:
+    """Write the figures that there are, by their names; the paths of the files."""
     check_own(folder, ["figures"])
     remove_abandoned(folder)
     drawn = {name: figure for name, figure in figures.items() if figure is not None}

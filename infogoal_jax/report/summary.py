@@ -28,6 +28,7 @@ from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
+from infogoal_jax.train.contracts import RECORDINGS_ALONE, check_simulated
 from infogoal_jax.train.evaluation import evaluate, has_image_goals, near_and_far
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
@@ -153,12 +154,15 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     head = f"{run_title(run.config)}: epoch {last_epoch} of {run.config.num_epochs}"
     if left and evaluations.values:
         last = evaluations.last()
-        num_goals, num_starts = last["first_reached"].shape[1:]
         steps = f"{last['env_steps'].mean():,.0f} {'environment' if acted else 'recorded'} steps a seed"
-        corrupted = corruption_in_words(last, run.config.test_corruption)
-        protocol = f"{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}"
-        say(console, f"{head}, {steps}\n{protocol}", style="bold")
-        console.print(score_table(last))
+        if "first_reached" in last:
+            num_goals, num_starts = last["first_reached"].shape[1:]
+            corrupted = corruption_in_words(last, run.config.test_corruption)
+            protocol = f"{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}"
+            say(console, f"{head}, {steps}\n{protocol}", style="bold")
+            console.print(score_table(last))
+        else:
+            say(console, f"{head}, {steps}\nnot evaluated: {RECORDINGS_ALONE}", style="bold")
     else:
         reason = "every seed diverged" if diverged else "no evaluation is whole"
         say(console, f"{head}: no numbers; {reason}", style="bold")
@@ -289,6 +293,7 @@ def evaluate_run(
     run, console = load_run(folder), console or Console()
     folder = run.folder
     train, diverged = make_train(run.config, env), diverged_seeds(folder)
+    check_simulated(train.env, "run", run.name)
     has_images = has_image_goals(train.env)
     require(
         corruption is None or has_images,

@@ -117,7 +117,8 @@ def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> Non
         table.add_row(*(row[place] for place in kept))
     console.print(table, crop=False)
     seeds = f"{len(plan.seeds)} seeds" if len(plan.seeds) > 1 else "1 seed"
-    console.print(f"success at the last evaluation, mean and 95 % interval over {seeds}", soft_wrap=True)
+    if any(cells for row in rows for cells in row[len(names) : -1]):
+        console.print(f"success at the last evaluation, mean and 95 % interval over {seeds}", soft_wrap=True)
     console.print(f"runs        {folder}/SETTING, each a run for evaluate, report and compare", soft_wrap=True)
 
 

@@ -24,6 +24,7 @@ from infogoal_jax.report.runs import evaluated_masks
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
+from infogoal_jax.train.contracts import check_simulated
 from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
 
@@ -182,6 +183,7 @@ def policy_video(
     or of a task that cannot be drawn.
     """
     env, name = subject.train.env, subject.run.name
+    check_simulated(env, "run", name)
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")

@@ -72,7 +72,7 @@ def working_bytes(train: Train) -> int:
     if env.goals.finite and env.goals.num_goals <= config.batch_size:
         num_goals = env.goals.num_goals
     encoded = (6 * config.batch_size * seen.size + 4 * num_goals * goal.size) * np.dtype("float32").itemsize
-    return encoded + episode_bytes(train, config.evaluation_starts)
+    return encoded + (episode_bytes(train, config.evaluation_starts) if env.simulated else 0)
 
 
 def episode_bytes(train: Train, starts: int) -> int:

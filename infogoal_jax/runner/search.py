@@ -46,6 +46,7 @@ from infogoal_jax.runs.disk import Place, decode
 from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
 from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, Stopped, StopRequest, stop_on_signal
+from infogoal_jax.train.contracts import check_simulated
 from infogoal_jax.train.program import Train
 
 NUMBER = "trials x seeds"
@@ -204,7 +205,9 @@ def scored_training(config: TrainConfig, trials: int, seeds: Sequence[int], env:
     what cannot be run."""
     check_seeds(seeds, trials)
     check_combination(config, env)
-    env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
+    env = envs.load(config.task, config.env) if env is None else env
+    check_simulated(env, "task", config.task)
+    env, group = scored_goals_only(env)
     train = make_train(config, env)
     count = trials * len(seeds)
     memory.at_once(train, count, seed_mesh(count), NUMBER)  # Before the settings are drawn.

@@ -18,6 +18,17 @@ def check_is_environment(env: Any, remedy: str = "give an environment, such as e
     require(isinstance(env, Environment), "env", env, remedy)
 
 
+RECORDINGS_ALONE = (
+    "there are recordings alone, and no environment to act in; play the policy of infogoal export where they were made"
+)
+"""Why a task that is not `simulated` is not evaluated, and what to do."""
+
+
+def check_simulated(env: Environment, field: str, value: Any) -> None:
+    """Raise `UserError`, naming what was asked for, where nobody can act in the task."""
+    require(env.simulated, field, value, RECORDINGS_ALONE)
+
+
 def checked_policy(env: Environment, policy: Any) -> Callable:
     """The policy, which raises `UserError` when it is traced and returns anything but an action for each episode. And
     at once for what cannot be called as a policy."""

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import checks
-from infogoal_jax.train.contracts import check_is_environment, checked_policy
+from infogoal_jax.train.contracts import check_is_environment, check_simulated, checked_policy
 from infogoal_jax.train.rollout import Policy, chosen
 
 
@@ -27,6 +27,7 @@ def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episo
     """One episode for a desired goal, a value of `env.goals` or its name, from a start drawn from the key; without the
     axis of episodes. Compile it with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
     check_is_environment(env, "give an environment, and the policy after it")
+    check_simulated(env, "env", type(env).__name__)
     policy = checked_policy(env, policy)
     start_key, act_key = jax.random.split(checks.key(key))
     starts = jax.vmap(env.reset_to)(start_key[None], env.goals.checked(goal, "goal", axes=0)[None])

@@ -17,7 +17,13 @@ from infogoal_jax import checks
 from infogoal_jax.goals import GoalSpace, corrupt, draw_backgrounds
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
-from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
+from infogoal_jax.train.contracts import (
+    check_is_environment,
+    check_shown,
+    check_simulated,
+    check_starts,
+    checked_policy,
+)
 from infogoal_jax.train.episodes import Episodes, run_episodes
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.rollout import Policy, trained_policy
@@ -79,6 +85,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     and for what is no policy.
     """
     check_is_environment(env, "give the policy first, and an environment after it")
+    check_simulated(env, "env", type(env).__name__)
     policy = checked_policy(env, policy)
     seed, is_view = checks.seed(seed), isinstance(goals, GoalView)
     desired_goals = env.goals.checked(goals.goals if is_view else goals, "goals", axes=1)

@@ -24,6 +24,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
+from infogoal_jax.train.contracts import check_simulated
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate_settings
 from infogoal_jax.train.experience import collect_epoch, experience_of, first_dissimilarity, update_statistics
 from infogoal_jax.train.parts import (
@@ -105,8 +106,10 @@ class Train:
         corruption: float | None = None,
         seed: int = EVALUATION_SEED,
     ) -> dict[str, jax.Array]:
-        """The metrics of `evaluation.evaluate_settings`."""
-        return evaluate_settings(self.setup(hyper, env), params, num_starts, corruption, seed)
+        """The metrics of `evaluation.evaluate_settings`. Raises `UserError` for a task that nobody can act in."""
+        setup = self.setup(hyper, env)
+        check_simulated(setup.env, "env", type(setup.env).__name__)
+        return evaluate_settings(setup, params, num_starts, corruption, seed)
 
     def chunk(self, state: TrainState, numbers: jax.Array, hyper: Hyperparameters, env: Any) -> tuple:
         """Epochs of these numbers, int32 [E], then an evaluation: (state, {name: [E]}, {name: evaluation})."""
@@ -179,8 +182,11 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         return jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
 
     def evaluation(state: TrainState, hyper, env):
-        metrics = evaluate_settings(Setup(parts, hyper, env), state.params, config.evaluation_starts)
-        return metrics | {"env_steps": state.env_steps}
+        """Success of the present parameters, where the task can be acted in."""
+        metrics = {"env_steps": state.env_steps}
+        if not env.simulated:
+            return metrics
+        return evaluate_settings(Setup(parts, hyper, env), state.params, config.evaluation_starts) | metrics
 
     return Train(
         config=config, env=env, initial=initial, epochs=epochs, evaluation=evaluation, parts=parts, check_env=check_env

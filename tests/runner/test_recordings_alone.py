@@ -1,0 +1,52 @@
+"""Recordings alone: a task that nobody can act in is learned from, and never said to have been evaluated."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from infogoal_jax import UserError, envs, evaluate, load_run, presets, rollout
+from infogoal_jax.bridges.gymnasium import TaskGymnasium
+from infogoal_jax.data.episodes import Episodes, of_arrays
+from infogoal_jax.report.comparison_figures import draw_comparison
+from infogoal_jax.report.figures import draw_figures, read_subject
+from infogoal_jax.report.summary import evaluate_run, print_summary
+from infogoal_jax.report.video import policy_video
+from infogoal_jax.runner import training
+from infogoal_jax.runner.search import tune
+
+
+def walks() -> Episodes:
+    """Two episodes of four steps."""
+    places = np.random.default_rng(0).uniform(-1, 1, (10, 2)).astype(np.float32)
+    return of_arrays({"observations": places, "actions": places, "terminals": np.arange(10) % 5 == 4})
+
+
+def test_what_nobody_can_act_in_is_not_evaluated(tmp_path, capsys):
+    """A run of recordings alone learns, is reported and compared without a success; whoever asks for one is told why
+    there is none, and what to do instead."""
+    presets.register("recorded_alone", envs.from_recordings(walks()), presets.OGBENCH)
+    short = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1, "batch_size": 4}
+    config = presets.load("recorded_alone", "none", agent="gcivl", **short)
+    config = dataclasses.replace(config, agent=dataclasses.replace(config.agent, hidden=(8,)))
+    found = training.run(config, [0], tmp_path / "run")
+    assert "success_rate" not in (tmp_path / "run" / "evaluations.csv").read_text()
+    print_summary(found)
+    assert "not evaluated: there are recordings alone" in " ".join(capsys.readouterr().out.split())
+    assert draw_figures(found.folder) == [] and draw_comparison([found.folder], tmp_path / "loss.png").exists()
+    env, policy = found.train.env, found.train.policy(load_run(found.folder).params(), config.hyper, found.train.env)
+    asked = [
+        lambda: evaluate_run(found.folder, 1, 1, -1.0),
+        lambda: evaluate(policy, env, env.goals.evaluated),
+        lambda: rollout(env, policy, env.goals.evaluated[0], jax.random.key(0)),
+        lambda: found.train.evaluate(found.params, config.hyper, env, 1),
+        lambda: policy_video(read_subject(found.folder), tmp_path / "a.mp4"),
+        lambda: tune(config, 1, [1000], jax.random.key(0)),
+        lambda: TaskGymnasium(env),
+    ]
+    for ask in asked:
+        with pytest.raises(UserError, match="recordings alone.*infogoal export"):
+            ask()
+    with pytest.raises(UserError, match=r"^env.simulated = False: give recordings"):
+        presets.register("nothing", env.replace(recorded=None))
