@@ -20,6 +20,8 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl"
+FIRST = "pointmaze-medium-navigate-v0"
+"""The dataset whose tables have no name behind them."""
 NAMES = {"crl": "offline_crl"}
 """Agents that have another name here than in OGBench."""
 
@@ -51,10 +53,12 @@ class Outcome:
     """As success, where the policy is told its goals with an error; empty where that was not asked for."""
     noise: float = 0.0
     """Standard deviation of that error, in the units of a goal."""
+    dataset: str = FIRST
+    """Its name in OGBench, which says the environment."""
 
     def program(self) -> tuple:
         """What it is known by in the results."""
-        return self.side, self.agent, self.learner, tuple(self.seeds), *self.held_out
+        return self.dataset, self.side, self.agent, self.learner, tuple(self.seeds), *self.held_out
 
 
 def read(paths: Iterable[Path]) -> dict[tuple, Outcome]:
@@ -189,11 +193,16 @@ def encoders(outcomes: list[Outcome]) -> str:
 
 
 def of_outcomes(found: dict[tuple, Outcome]) -> dict[str, str]:
-    """The tables by name; those that have a row."""
-    plain = [outcome for outcome in found.values() if not outcome.held_out]
-    held = [outcome for outcome in found.values() if outcome.held_out and outcome.updates]
-    tables = {"peers": peers(plain)} if plain else {}
-    return tables | ({"encoders": encoders(held)} if held else {})
+    """The tables by name, those of each dataset apart; those that have a row."""
+    tables = {}
+    for dataset in sorted({outcome.dataset for outcome in found.values()}, key=lambda name: name != FIRST):
+        own = [outcome for outcome in found.values() if outcome.dataset == dataset]
+        name = "" if dataset == FIRST else "_" + "_".join(dataset.split("-")[:2])
+        if plain := [outcome for outcome in own if not outcome.held_out]:
+            tables[f"peers{name}"] = peers(plain)
+        if held := [outcome for outcome in own if outcome.held_out and outcome.updates]:
+            tables[f"encoders{name}"] = encoders(held)
+    return tables
 
 
 def tables() -> dict[str, str]:

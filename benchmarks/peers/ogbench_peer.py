@@ -10,8 +10,9 @@ in OGBench's environment.
     python -m infogoal_paper.ogbench RESULTS.jsonl            # put results into docs/results, and print the tables
 
 `--collect` writes data of our own: a scripted policy goes from cell to cell of OGBench's maze, by a breadth-first
-search, to one goal after the other. It is not OGBench's file. Whoever has that one gives its path (`--data`), and its
-name (`--dataset`), by which floats are read from `impls/hyperparameters.sh`.
+search, to one goal after the other; with `--dataset cube-single-play-v0` OGBench's own scripted policy carries a cube
+(`pip install dm_control`). It is not OGBench's file. Whoever has that one gives its path (`--data`), and its name
+(`--dataset`), by which floats are read from `impls/hyperparameters.sh`.
 
 RESULTS.jsonl gets a line for every evaluation; what is there already is not run again. So many programs as
 `--side-by-side` says share the device. They compile together, then one after the other is timed alone, then they train
@@ -63,6 +64,8 @@ OF_GOALS = {"actor_p_trajgoal": "actor_future_share", "subgoal_steps": "subgoal_
 NOISE = 0.5
 """Standard deviation of the noise on the actions of the scripted policy."""
 HALF_CELL = 2.0
+HALF_CUBE = 0.6
+"""Six centimetres, as states have lengths."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,14 +106,15 @@ class Job:
 # OGBench's environment.
 
 
-def make_environment(dataset: str) -> Any:
-    """The environment of a dataset such as `pointmaze-medium-navigate-v0`."""
+def make_environment(dataset: str, **arguments: Any) -> Any:
+    """The environment of a dataset such as `pointmaze-medium-navigate-v0` or `cube-single-play-v0`."""
+    os.environ.setdefault("MUJOCO_GL", "disabled")  # States are all that is looked at.
     import gymnasium
     import ogbench.locomaze
     import ogbench.manipspace  # noqa: F401
 
     words = dataset.split("-")
-    return gymnasium.make("-".join(words[:-2] + words[-1:]), disable_env_checker=True)
+    return gymnasium.make("-".join(words[:-2] + words[-1:]), disable_env_checker=True, **arguments)
 
 
 def directions(free: np.ndarray, goal: tuple[int, int]) -> dict[tuple[int, int], tuple[int, int]]:
@@ -125,35 +129,91 @@ def directions(free: np.ndarray, goal: tuple[int, int]) -> dict[tuple[int, int],
     return following
 
 
+class MazeWalk:
+    """Goes from cell to cell of a maze, by a breadth-first search, to one goal after the other."""
+
+    def __init__(self, dataset: str):
+        self.env = make_environment(dataset)
+        self.world = self.env.unwrapped
+        self.world._terminate_at_goal = False
+        free = self.world.maze_map == 0
+        self.cells = [tuple(map(int, cell)) for cell in np.argwhere(free)]
+        self.ways = {goal: directions(free, goal) for goal in self.cells}
+
+    def reset(self, seed: int) -> np.ndarray:
+        """Begin an episode; its first observation."""
+        start, self.goal = (self.cells[np.random.randint(len(self.cells))] for _ in range(2))
+        options = {"task_info": {"init_ij": start, "goal_ij": self.goal}}
+        return self.env.reset(seed=seed, options=options)[0]
+
+    def action(self) -> np.ndarray:
+        """Towards the next cell."""
+        world, place = self.world, self.world.get_xy()
+        cell = world.xy_to_ij(place)
+        following = self.ways[self.goal].get(cell, cell)
+        aim = np.array(world.cur_goal_xy if cell == self.goal else world.ij_to_xy(following)) - place
+        return np.clip(aim / (np.linalg.norm(aim) + 1e-6) + np.random.normal(0.0, NOISE, 2), -1.0, 1.0)
+
+    def step(self, action: np.ndarray) -> np.ndarray:
+        """Act; the next observation. A goal that is reached is followed by another."""
+        observation, _, _, _, info = self.world.step(action)
+        if info["success"]:
+            self.goal = self.cells[np.random.randint(len(self.cells))]
+            self.world.set_goal(self.goal)
+            self.world.cur_goal_xy = np.array(self.world.cur_goal_xy)
+        return observation
+
+
+class CubePlay:
+    """Carries cubes from place to place: OGBench's own scripted policy, as its `generate_manipspace.py` runs it."""
+
+    def __init__(self, dataset: str):
+        from ogbench.manipspace.oracles.plan.cube_plan import CubePlanOracle
+
+        self.env = make_environment(dataset, terminate_at_goal=False, mode="data_collection")
+        self.world, self.stacked = self.env.unwrapped, STACKED[dataset.split("-")[1]]
+        self.oracle = CubePlanOracle(env=self.env, noise=0.1, noise_smoothing=0.5)
+
+    def reset(self, seed: int) -> np.ndarray:
+        """Begin an episode; its first observation."""
+        self.share = np.random.uniform(*self.stacked)
+        self.seen = self.env.reset(seed=seed)
+        self.oracle.reset(*self.seen)
+        return self.seen[0]
+
+    def action(self) -> np.ndarray:
+        """Along the plan."""
+        return np.clip(self.oracle.select_action(*self.seen), -1.0, 1.0)
+
+    def step(self, action: np.ndarray) -> np.ndarray:
+        """Act; the next observation. A plan that is over is followed by another."""
+        observation, _, _, _, info = self.world.step(action)
+        self.seen = observation, info
+        if self.oracle.done:
+            self.oracle.reset(*self.world.set_new_target(p_stack=self.share))
+        return observation
+
+
+POLICIES = {"pointmaze": MazeWalk, "cube": CubePlay}
+"""What collects, by the first word of a dataset's name."""
+STACKED = {"single": (0.0, 0.0), "double": (0.0, 0.25), "triple": (0.05, 0.35), "quadruple": (0.1, 0.5)}
+"""Between which the probability is drawn, for each episode, that a cube is put onto another."""
+
+
 def collect(dataset: str, steps: int, seeds: list[int]) -> dict[str, np.ndarray]:
     """An episode of the scripted policy for each seed, of so many observations, in OGBench's layout."""
-    env = make_environment(dataset)
-    world = env.unwrapped
-    world._terminate_at_goal = False
-    free = world.maze_map == 0
-    cells = [tuple(map(int, cell)) for cell in np.argwhere(free)]
-    ways = {goal: directions(free, goal) for goal in cells}
+    policy = POLICIES[dataset.split("-")[0]](dataset)
     found: dict[str, list] = {"observations": [], "actions": [], "terminals": []}
     for seed in seeds:
         np.random.seed(seed)  # OGBench draws from here, too.
-        start, goal = (cells[np.random.randint(len(cells))] for _ in range(2))
-        env.action_space.seed(seed)
-        observation, _ = env.reset(seed=seed, options={"task_info": {"init_ij": start, "goal_ij": goal}})
+        policy.env.action_space.seed(seed)
+        observation = policy.reset(seed)
         for step in range(steps):
-            place = world.get_xy()
-            cell = world.xy_to_ij(place)
-            following = ways[goal].get(cell, cell)
-            aim = np.array(world.cur_goal_xy if cell == goal else world.ij_to_xy(following)) - place
-            action = aim / (np.linalg.norm(aim) + 1e-6) + np.random.normal(0.0, NOISE, 2)
-            action = np.clip(action, -1.0, 1.0)
+            action = policy.action()
             found["observations"].append(observation)
             found["actions"].append(action)
             found["terminals"].append(step == steps - 1)
-            observation, _, _, _, info = world.step(action)
-            if info["success"]:
-                goal = cells[np.random.randint(len(cells))]
-                world.set_goal(goal)
-                world.cur_goal_xy = np.array(world.cur_goal_xy)
+            observation = policy.step(action)
     return {name: np.asarray(values, np.float32) for name, values in found.items()}
 
 
@@ -261,11 +321,20 @@ def our_task(data: Path, dataset: str, held_out: list[int]) -> Any:
 
     if not held_out:
         return envs.from_recordings(data)
-    infos = make_environment(dataset).unwrapped.task_infos
-    centres = np.array([infos[task - 1]["goal_xy"] for task in held_out], np.float32)
+    places, centres, distance = places_of(dataset, held_out)
     return envs.from_recordings(
-        data, held_out=lambda goal: (jnp.abs(goal[:2] - centres) < HALF_CELL).all(-1).any(), scaled=True
+        data, held_out=lambda goal: (jnp.abs(goal[places] - centres) < distance).all(-1).any(), scaled=True
     )
+
+
+def places_of(dataset: str, tasks: list[int]) -> tuple[slice, np.ndarray, float]:
+    """Where the goals of these tasks lie: which numbers of a state say where, those numbers [T, 2], and the distance
+    along each up to which a goal counts as there."""
+    infos = [make_environment(dataset).unwrapped.task_infos[task - 1] for task in tasks]
+    if dataset.startswith("cube"):  # The first cube, as `compute_observation` of OGBench's cubes shows it.
+        cubes = np.array([info["goal_xyzs"][0, :2] for info in infos], np.float32)
+        return slice(19, 21), 10 * (cubes - np.array([0.425, 0.0], np.float32)), HALF_CUBE
+    return slice(0, 2), np.array([info["goal_xy"] for info in infos], np.float32), HALF_CELL
 
 
 def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
@@ -426,6 +495,7 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         noisy=[[] for _ in job.seeds] if words.goal_noise else [],
         noise=words.goal_noise,
         held_out=words.held_out,
+        dataset=words.dataset,
         sizes="" if sizes.hidden == (512, 512, 512) else f"batch {sizes.batch_size}, layers {sizes.hidden}",
     )
     if rate is not None:
@@ -475,14 +545,14 @@ def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
                 if learner == "none" and words.seeds > 1 and "theirs" in words.sides:
                     yield Job("ours", agent, learner, (0,), train=False)
     if "theirs" in words.sides:
-        for seed in seeds:
+        for seed in seeds[: words.their_seeds]:
             for agent in words.agents:
                 yield Job("theirs", agent, "none", (seed,))
 
 
-def is_done(job: Job, found: dict[tuple, Any], sizes: Sizes, held_out: list[int]) -> bool:
+def is_done(job: Job, found: dict[tuple, Any], sizes: Sizes, words: argparse.Namespace) -> bool:
     """Whether the results have all of a program."""
-    outcome = found.get((*job.key(), *held_out))
+    outcome = found.get((words.dataset, *job.key(), *words.held_out))
     return outcome is not None and (not job.train or sizes.updates in outcome.updates)
 
 
@@ -505,6 +575,7 @@ def main() -> None:
     parser.add_argument("--held-out", type=int, nargs="+", default=[])
     parser.add_argument("--goal-noise", type=float, default=0.0)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--their-seeds", type=int, help="of OGBench's side, each a program; as many as ours where none")
     parser.add_argument("--updates", type=int, default=50_000)
     parser.add_argument("--evaluations", type=int, default=3)
     parser.add_argument("--tries", type=int, default=20, help="episodes of each task in an evaluation")
@@ -524,7 +595,7 @@ def main() -> None:
     sizes = TOY if words.toy else Sizes(words.updates, words.evaluations, **own)
     deadline = min(time.time() + words.budget, time.time() + 1e7)
     found = read([words.out])
-    jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes, words.held_out)]
+    jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes, words)]
     context = multiprocessing.get_context("spawn")
     for first in range(0, len(jobs), words.side_by_side):
         if time.time() > deadline:

@@ -70,6 +70,14 @@ def test_small_sizes_are_not_kept(numbers, tmp_path):
     assert numbers.read_text() == before
 
 
+def test_datasets_have_tables_of_their_own():
+    cube = "cube-single-play-v0"
+    outcomes = [outcome(updates=(10,)), outcome(updates=(10,), success=0.2, dataset=cube)]
+    outcomes += [outcome("theirs", (0,), updates=(10,), **named) for named in ({}, {"dataset": cube})]
+    found = ogbench.of_outcomes({each.program(): each for each in outcomes})
+    assert list(found) == ["peers", "peers_cube_single"] and "0.10±0.00" in found["peers_cube_single"]
+
+
 def test_goal_encoders_are_judged_on_held_out_tasks_apart():
     plain = outcome(updates=(10,), held_out=[2], noise=1.0)
     plain.noisy = [[[0.2, 0.0]], [[0.2, 0.0]]]
