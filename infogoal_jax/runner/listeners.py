@@ -49,7 +49,7 @@ def print_success(num_epochs: int, num_seeds: int = 1) -> Callable[[Any, dict[st
             heard[int(epoch)] = of_epoch
             return
         numbers = [f"{label} {fmean(float(one[label]) for one in of_epoch):.2f}" for label in shown]
-        print("  ".join([f"epoch {int(epoch)}/{num_epochs}", *numbers]))
+        print("  ".join([f"epoch {int(epoch)}/{num_epochs}", *numbers]), flush=True)
 
     return advance
 

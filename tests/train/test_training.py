@@ -1,5 +1,6 @@
 """`make_train(config)` returns a pure function of a key that can be jitted, vmapped over seeds and compiled once."""
 
+import contextlib
 import dataclasses
 import time
 
@@ -241,13 +242,21 @@ def test_a_callback_hears_of_each_evaluation_of_each_seed(sweep, heard):
     assert [inside for *_, inside in heard[:6]] == [1] * 6  # Never two at once: their lines would run together.
 
 
-def test_a_line_is_printed_for_all_seeds_of_an_evaluation(capsys):
-    show = print_success(20, num_seeds=2)
-    for epoch, success in ((10, 0.2), (10, 0.4), (20, 0.9), (10, 0.0), (10, 1.0)):  # The third was interrupted.
-        show(np.int32(epoch), {"train_goal/success_rate": np.float32(success), "test_goal/success_rate": np.float32(0)})
-    print_success(20)(np.int32(5), {"train_goal/success_rate": np.float32(1)})  # A task that holds no goals out.
-    lines = ["epoch 10/20  train 0.30  test 0.00", "epoch 10/20  train 0.50  test 0.00", "epoch 5/20  train 1.00"]
-    assert capsys.readouterr().out.splitlines() == lines
+def test_a_line_is_printed_for_all_seeds_of_an_evaluation(tmp_path):
+    show, written = print_success(20, num_seeds=2), tmp_path / "log"
+    with written.open("w") as log, contextlib.redirect_stdout(log):
+        for epoch, success in ((10, 0.2), (10, 0.4), (20, 0.9), (10, 0.0), (10, 1.0)):  # The third was interrupted.
+            show(
+                np.int32(epoch),
+                {"train_goal/success_rate": np.float32(success), "test_goal/success_rate": np.float32(0)},
+            )
+        print_success(20)(np.int32(5), {"train_goal/success_rate": np.float32(1)})  # A task that holds no goals out.
+        lines = written.read_text().splitlines()  # While it trains: a file or a pipe gets each line when it is printed.
+    assert lines == [
+        "epoch 10/20  train 0.30  test 0.00",
+        "epoch 10/20  train 0.50  test 0.00",
+        "epoch 5/20  train 1.00",
+    ]
 
 
 def test_a_callback_leaves_nothing_in_a_program_without_it():
