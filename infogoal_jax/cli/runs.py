@@ -61,9 +61,12 @@ def report(
             return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run
+    from infogoal_jax.runner.progress import working_on
 
     print_run(Path(run))
-    for path in draw_figures(Path(run), None, format, captions, style):
+    with working_on("drawing"):
+        paths = draw_figures(Path(run), None, format, captions, style)
+    for path in paths:
         print(f"figure      {path}")
     return 0
 
@@ -88,9 +91,12 @@ def compare(
         labels: What the legend calls each run, in their order; empty: its method, and its folder where two are alike.
     """
     from infogoal_jax.report.comparison_figures import draw_comparison
+    from infogoal_jax.runner.progress import working_on
 
     folders = [Path(run) for run in runs]
-    print(f"figure      {draw_comparison(folders, Path(out), None, metrics, captions, style, labels)}")
+    with working_on("drawing"):
+        path = draw_comparison(folders, Path(out), None, metrics, captions, style, labels)
+    print(f"figure      {path}")
     return 0
 
 
@@ -131,6 +137,7 @@ def video(
     from infogoal_jax.envs.fetch.tasks import TASKS
     from infogoal_jax.report import video as videos
     from infogoal_jax.runner.compilation import use_compilation_cache
+    from infogoal_jax.runner.progress import working_on
 
     videos.check_path(out, "out")
     check_seed(seed)
@@ -142,7 +149,8 @@ def video(
         from infogoal_jax.report.figures import read_subject
 
         run = read_subject(Path(subject))
-        reached = videos.policy_video(run, out, episodes, seed, corruption, height)
+        with working_on("drawing"):
+            reached = videos.policy_video(run, out, episodes, seed, corruption, height)
         words = f"goal images corrupted with weight {corruption:g}; " if corruption else ""
         print(
             f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed}; {words}the goal is "
@@ -159,6 +167,7 @@ def video(
 
     env = envs.load(f"{subject}_positions", FetchConfig(goals="positions", ends_at_goal=False))
     goals = videos.drawn_goals(env, episodes, seed)
-    reached = videos.drawn_video(env, random_policy(env), out, goals, seed, height)
+    with working_on("drawing"):
+        reached = videos.drawn_video(env, random_policy(env), out, goals, seed, height)
     print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
     return 0

@@ -25,6 +25,7 @@ from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, re
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runner import memory, training
 from infogoal_jax.runner.compilation import jit
+from infogoal_jax.runner.progress import working_on
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
@@ -330,7 +331,8 @@ def evaluate_run(
         f"evaluating {len(run.seeds)} seeds needs {needed / memory.GIB:,.1f} GiB at least, "
         f"{memory.room_in_words(room)}: give fewer, such as {run.config.evaluation_starts}",
     )
-    metrics = jax.device_get(program.lower().compile()(params, train.env))
+    with working_on("evaluating", console):
+        metrics = jax.device_get(program.lower().compile()(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}

@@ -112,7 +112,7 @@ def run_here(jobs: Sequence[Job], place: Place) -> Outcome:
     with stop_on_signal() as stop:
         # First whole jobs that nobody has begun, then what others left of those that they have.
         for whole in (True, False):
-            for job in jobs:
+            for number, job in enumerate(jobs, 1):
                 outcome.stopped |= stop.requested or place.left() < BEGINNING
                 if outcome.stopped:
                     return outcome
@@ -121,7 +121,8 @@ def run_here(jobs: Sequence[Job], place: Place) -> Outcome:
                     if mine is None:
                         continue
                     tried.update(mine.members)  # What fails here is not begun again before the next start.
-                    place.say(f"{mine.name}: {counted(len(mine.members), 'run')}")
+                    which = f", program {number} of {len(jobs)}" if len(jobs) > 1 else ""
+                    place.say(f"{mine.name}: {counted(len(mine.members), 'run')}{which}")
                     mine.train(place)
                     end(mine, place.folder, outcome)
                     outcome.stopped |= stop.requested

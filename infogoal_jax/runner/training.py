@@ -145,9 +145,10 @@ def run(
     if writes and not resume:
         check_new(folder, RUN)
     with stop_on_signal() as stop, distributed.noted(stop):
-        phase("loading", 0)
+        done = checkpoint.epoch_of(folder / "checkpoint") if resume else 0
+        phase("loading", done)
         train = make_train(config, env)
-        phase("tracing", 0)
+        phase("tracing", done)
         programs = side_by_side(train, distributed.share(seeds))
         now = describe(config, train.env, list(seeds))
         if not resume:

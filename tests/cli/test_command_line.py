@@ -272,6 +272,7 @@ def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, c
     assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
     assert main(["evaluate", "run", "--starts", "2"]) == 0
+    assert re.search(r"evaluating +[0-9.]+ s\n", capsys.readouterr().out)
     assert main(["evaluate", "run", "--corruption", "0.4"]) == 2
     assert "goals of object_search are not images" in capsys.readouterr().err
     assert main(["video", "run", "--out", "a.mp4"]) == 0 and (tmp_path / "a.mp4").stat().st_size > 0
