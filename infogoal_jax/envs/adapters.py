@@ -95,11 +95,6 @@ class AdaptedTask(GoalTask):
         """The flattened observation, without what tells of the goal."""
         return taken(self.shown, flat(world.obs))
 
-    def action_mask(self, observation: jax.Array) -> jax.Array:
-        """Every action, bool [..., A]: said here, since the environment's way to find the axes of an observation traces
-        a whole reset of the simulator."""
-        return jnp.ones((*observation.shape[:-1], self.action_size), bool)
-
     def achieved_goal(self, world: Any) -> jax.Array:
         """The goal that is achieved."""
         return self.read_achieved(world)

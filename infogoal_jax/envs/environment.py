@@ -137,8 +137,7 @@ class Environment:
 
     def action_mask(self, observation: Any) -> jax.Array:
         """The actions that can be taken after stored observations [...], bool [..., A]."""
-        one = jax.eval_shape(lambda key: self.observe(self.reset(key)), jax.random.key(0))
-        leaf, of_one = jax.tree.leaves(observation)[0], jax.tree.leaves(one)[0]
+        leaf, of_one = jax.tree.leaves(observation)[0], jax.tree.leaves(one_observation(self))[0]
         return jnp.ones((*leaf.shape[: leaf.ndim - of_one.ndim], self.action_size), bool)
 
     def failed(self, state: Any) -> jax.Array:
@@ -166,3 +165,26 @@ class Environment:
     def with_goals(self, goals: GoalSpace) -> "Environment":
         """The same task with another goal set, such as one of which fewer goals are evaluated."""
         return self.replace(goals=goals)
+
+
+KNOWN: dict[Any, Any] = {}
+"""What `one_observation` found out, by the environment without the numbers in its arrays."""
+MOST_KNOWN = 64
+
+
+def one_observation(env: Environment) -> Any:
+    """Shape and type of what is stored of one observation. A reset is traced for it once, since that of a simulator
+    takes seconds; always for an environment that is no pytree, or has a static field without a hash."""
+    leaves, tree = jax.tree.flatten(env)
+    which = tree, *((leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else type(leaf) for leaf in leaves)
+    try:
+        known = KNOWN.pop(which, None)
+    except TypeError:
+        which = known = None
+    if known is None or any(leaf is env for leaf in leaves):
+        known = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    if which is not None:
+        KNOWN[which] = known
+    if len(KNOWN) > MOST_KNOWN:
+        del KNOWN[next(iter(KNOWN))]
+    return known

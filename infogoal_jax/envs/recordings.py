@@ -14,6 +14,7 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.data.archives import content_of
 from infogoal_jax.data.episodes import Episodes, load
+from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import GoalBox
@@ -33,7 +34,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
     require(isinstance(task, GoalTask), "task", type(task).__name__, "give a GoalTask")
     checks.seed(seed)
-    seen, size = jax.eval_shape(lambda key: task.observe(task.reset(key)), jax.random.key(0)), task.goals.shape[0]
+    seen, size = one_observation(task), task.goals.shape[0]
     observations = task.recorded_observation(episodes.observations)
     require(
         observations.shape[1:] == seen.shape and observations.dtype == seen.dtype,

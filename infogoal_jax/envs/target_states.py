@@ -185,10 +185,6 @@ class SubgoalEnv(Environment):
         target = jnp.where(self.decides(state), asked, state.target)
         return SubgoalState(inner=self.env.step(state.inner, self.low_level.act(observation, target)), target=target)
 
-    def action_mask(self, observation: jax.Array) -> jax.Array:
-        """All subgoals can be asked for, bool [..., S]."""
-        return jnp.ones((*self.space.of(observation).shape[:-1], self.action_size), bool)
-
     def observe(self, state: SubgoalState) -> jax.Array:
         """What is stored of the observation."""
         return self.env.observe(state.inner)

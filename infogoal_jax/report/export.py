@@ -15,6 +15,7 @@ from jax.extend.core import Literal
 
 from infogoal_jax import policy_file, presets
 from infogoal_jax.agents.agent import Exploration
+from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.target_states import SubgoalEnv
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
@@ -110,7 +111,7 @@ def seen_through(train: Train, params: Any):
     text, is given as the network sees it.
     """
     parts, env = train.parts, train.env
-    stored = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    stored = one_observation(env)
     is_vector = isinstance(stored, jax.ShapeDtypeStruct) and stored.dtype == jnp.float32
     render = env.render if is_vector else (lambda observation: observation)
     observation = stored if is_vector else jax.eval_shape(env.render, stored)
@@ -156,7 +157,7 @@ def driving(train: Train, params: Any):
     """
     (see, examples), parts, env = seen_through(train, params), train.parts, train.env
     steered = isinstance(env, SubgoalEnv)
-    stored = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    stored = one_observation(env)
     leaves, tree = jax.tree.flatten(stored)
     (place,) = (number for number, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating))
     others = [np.zeros(leaf.shape, leaf.dtype) for leaf in leaves]

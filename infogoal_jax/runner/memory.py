@@ -17,6 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.keys import is_key
 from infogoal_jax.runner.compilation import inner_programs
@@ -65,7 +66,7 @@ def working_bytes(train: Train) -> int:
     """Bytes that a seed takes beside copies of its state, roughly: what is seen of each transition three times over and
     cut into patches, the goals that it achieved, and the episodes of an evaluation."""
     config, env = train.config, train.env
-    observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    observation = one_observation(env)
     seen = jax.eval_shape(env.render, observation)
     goal = jax.eval_shape(lambda: env.goals.inputs_of(env.goals.examples[0]))
     num_goals = config.batch_size * train.parts.agent.num_steps
@@ -78,7 +79,7 @@ def working_bytes(train: Train) -> int:
 def episode_bytes(train: Train, starts: int) -> int:
     """Bytes of what is observed in the episodes of an evaluation of one seed, with so many starts a goal."""
     env = train.env
-    observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    observation = one_observation(env)
     episodes = len(env.goals.evaluated) * starts
     return episodes * (env.episode_length + 1) * bytes_of(observation) * EVALUATION_POLICIES
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from infogoal_jax import policy_file
 from infogoal_jax.data import archives
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, one_observation
 from infogoal_jax.errors import UserError, require
 
 NAME = "low_level.npz"
@@ -81,7 +81,7 @@ def read(path: str, env: Environment) -> tuple[dict[str, Any], LowLevel]:
         str(file),
         f"is of the task {about.get('task')!r}, not {task!r}; {remedy}",
     )
-    observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    observation = one_observation(env)
     target, wanted = (jax.ShapeDtypeStruct((size,), "float32") for size in (env.space.size, env.action_size))
     try:
         low_level = LowLevel.of(policy)

@@ -12,7 +12,7 @@ import optax
 from infogoal_jax import agents, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, one_observation
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goals import corrupt, draw_backgrounds
@@ -95,7 +95,7 @@ def make_learner(config: TrainConfig) -> Learner:
 
 def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
-    seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
+    seen = jax.eval_shape(env.render, one_observation(env))
     if seen.ndim == 1:
         return networks.VectorEncoder(size.features) if size.features else networks.AsItIs()
     remedy = "observations are images; give a size greater than 0"

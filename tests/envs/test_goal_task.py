@@ -127,6 +127,30 @@ def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case, reg
     assert "\n" not in str(error.value)
 
 
+def test_how_many_axes_an_observation_has_is_asked_of_a_task_once():
+    """Not wherever the program asks for the actions that can be taken: a reset of a simulator takes seconds to
+    trace."""
+    resets = []
+
+    @flax.struct.dataclass
+    class Counting(Square):
+        def begin(self, key):
+            resets.append(1)
+            return super().begin(key)
+
+    config = presets.load("point_maze", num_epochs=1, epochs_per_evaluation=1)
+    env = Counting(goals=GOALS, episode_length=5, radius=0.1)
+    train = make_train(config, env)
+    resets.clear()
+    batch = jnp.zeros((3, 4, 2)), jnp.zeros((5, 2))
+    masks = jax.jit(lambda env, *seen: [env.action_mask(one) for one in seen])(env, *batch)
+    assert [mask.shape for mask in masks] == [(3, 4, 2), (5, 2)] and not resets
+    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, env)
+    initial = len(resets)
+    jax.eval_shape(train.chunk, state, jnp.arange(1), config.hyper, env)
+    assert (initial, len(resets) - initial) == (1, 2)
+
+
 def test_a_task_that_does_not_say_how_large_its_actions_are_is_refused():
     """Without it actions of one number would be broadcast over a place."""
     kind = flax.struct.dataclass(type("Own", (GoalTask,), {"__module__": "own"}))
