@@ -20,7 +20,16 @@ from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runner.distributed import seed_mesh
-from infogoal_jax.runner.sweep import Member, Programs, Sweep, batched_hyper, is_finite, programs_from, side_by_side
+from infogoal_jax.runner.sweep import (
+    Member,
+    Programs,
+    States,
+    Sweep,
+    batched_hyper,
+    is_finite,
+    programs_from,
+    side_by_side,
+)
 from infogoal_jax.train.program import Train
 from infogoal_paper import measure
 from infogoal_paper.manifest import PRESET, Lane, Run
@@ -121,7 +130,7 @@ class Training:
     @property
     def shapes(self) -> Any:
         """Of the states of all members."""
-        members = self.sweep.programs.shapes
+        members = self.sweep.programs.states.shapes
         return members.state if isinstance(members, Member) else members
 
     def spans_until_now(self) -> list[list[float]]:
@@ -269,11 +278,13 @@ def in_several(train: Train, envs: Sequence[Any], seeds: Sequence[int], hyper: H
         config,
         over(lambda state, numbers, own, env: train.epochs(state, numbers, own, env), (0, None, 0)),
         over(train.evaluation, (0, 0)),
-        lambda: initial(numbered, hyper, leaves),
-        jax.eval_shape(initial, numbered, hyper, leaves),
         (hyper, leaves),
-        seed_mesh(1),
-        jax.device_put,
+        States(
+            jax.eval_shape(initial, numbered, hyper, leaves),
+            lambda: initial(numbered, hyper, leaves),
+            jax.device_put,
+            seed_mesh(1),
+        ),
     )
 
 

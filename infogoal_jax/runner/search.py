@@ -350,7 +350,7 @@ def last_point(folder: Path, start: TuneResult, programs: Programs) -> tuple[Tun
     chunk = start.config.epochs_per_evaluation
     epochs = [chunk * number for number in range(1, saved.evaluations + 1)]
     return dataclasses.replace(start, epochs=epochs, trials=saved.trials), checkpoint.arrays(
-        path, payload, programs.shapes
+        path, payload, programs.states.shapes
     )
 
 

@@ -27,22 +27,33 @@ WATCHED = ("agent/loss", "agent/gradient_norm")
 """Metrics of an epoch that stop being finite when a member diverges."""
 
 
-class Programs(NamedTuple):
-    """What a sweep is made of. Arrays of states and metrics begin with the axes of the members.
+class States(NamedTuple):
+    """The states of all members of this process: arrays that begin with the axes of the members.
 
-    shapes: of the states of all members of this process.
+    shapes: of these arrays.
     initial: () -> states, before the first epoch.
-    compiling: () -> wait; begins to compile, and wait() -> chunk(states, numbers [E]) -> (states, {name: [*members, E,
-        ...]}, {name: [*members, ...]}): the epochs of these numbers with their metrics, and the evaluation after them.
-        Raises `UserError` for a program that needs more memory than there is.
     placed: states of the host -> states on the devices.
-    check: () -> None; raises `UserError`, before anything is compiled, for sizes that no device has room for.
+    mesh: the devices, against whose memory the program is held.
     """
 
     shapes: Any
     initial: Callable[[], Any]
-    compiling: Callable[[], Callable[[], Callable]]
     placed: Callable[[Any], Any]
+    mesh: jax.sharding.Mesh
+
+
+class Programs(NamedTuple):
+    """What a sweep is made of. Metrics begin with the axes of the members, as states do.
+
+    states: where they come from.
+    compiling: () -> wait; begins to compile, and wait() -> chunk(states, numbers [E]) -> (states, {name: [*members, E,
+        ...]}, {name: [*members, ...]}): the epochs of these numbers with their metrics, and the evaluation after them.
+        Raises `UserError` for a program that needs more memory than there is.
+    check: () -> None; raises `UserError`, before anything is compiled, for sizes that no device has room for.
+    """
+
+    states: States
+    compiling: Callable[[], Callable[[], Callable]]
     check: Callable[[], None]
 
 
@@ -131,9 +142,9 @@ def train_sweep(sweep: Sweep, callback: Callback, stop: StopRequest) -> Sweep:
 
 def prepare(sweep: Sweep) -> None:
     """Compile the program, and make the first states at the same time unless a checkpoint gave others."""
-    started = time.perf_counter()
+    started, states = time.perf_counter(), sweep.programs.states
     compiled = sweep.programs.compiling()
-    sweep.states = sweep.programs.initial() if sweep.states is None else sweep.programs.placed(sweep.states)
+    sweep.states = states.initial() if sweep.states is None else states.placed(sweep.states)
     sweep.chunk = compiled()
     sweep.prepare_seconds = time.perf_counter() - started
 
@@ -221,50 +232,35 @@ def side_by_side(
         config,
         epochs_over_seeds(epochs, count, at_once, mesh),
         over_seeds(evaluation, count, at_once, mesh),
-        first,
-        shapes,
         shared,
-        mesh,
-        lambda states: jax.device_put(states, by_member),
+        States(shapes, first, lambda states: jax.device_put(states, by_member), mesh),
     )
 
 
 def programs_from(
-    config: TrainConfig,
-    epochs: Callable,
-    evaluation: Callable,
-    initial: Callable[[], Any],
-    shapes: Any,
-    shared: tuple,
-    mesh: jax.sharding.Mesh,
-    place: Callable[[Any], Any],
+    config: TrainConfig, epochs: Callable, evaluation: Callable, shared: tuple, states: States
 ) -> Programs:
     """The programs of members side by side.
 
     Args:
         epochs: (states, numbers of epochs, *shared) -> (states, metrics).
         evaluation: (states, *shared) -> metrics.
-        initial: () -> states, before the first epoch.
-        shapes: of the states.
         shared: what both take beside the states.
-        mesh: the devices that they run on, against whose memory they are held.
-        place: (states as arrays of the host) -> states on these devices.
+        states: of the members.
     """
     chunk = chunk_of(epochs, evaluation)
-    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32)
-    room = memory.mesh_memory(mesh)
+    given = states.shapes, jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32), *shared
+    room = memory.mesh_memory(states.mesh)
 
     def usual():
         return memory.preset_of(config)
 
     return Programs(
-        shapes=shapes,
-        initial=initial,
+        states=states,
         compiling=lambda: chunk.compiling(
-            shapes, numbers, *shared, check=lambda *found: memory.check_compiled(found, config, usual, room)
+            *given, check=lambda *found: memory.check_compiled(found, config, usual, room)
         ),
-        placed=place,
         check=lambda: memory.check_traced(
-            [program.jaxpr for program in chunk.trace(shapes, numbers, *shared)], config, usual, room * mesh.size
+            [program.jaxpr for program in chunk.trace(*given)], config, usual, room * states.mesh.size
         ),
     )

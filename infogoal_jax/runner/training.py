@@ -154,7 +154,7 @@ def run(
         if not resume:
             programs.check()  # So that a refusal leaves no folder behind.
         with only_writer(folder, new=() if resume else RUN) if writes else contextlib.nullcontext():
-            point = last_point(folder, now, distributed.of_all(programs.shapes.state)) if resume else BEGINNING
+            point = last_point(folder, now, distributed.of_all(programs.states.shapes.state)) if resume else BEGINNING
             if resume:
                 programs.check()
             distributed.any_process(False)  # Nobody changes what another one is still reading.

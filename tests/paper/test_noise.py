@@ -89,7 +89,7 @@ def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_
     """After no update: what training does has tests of its own."""
 
     def train_nothing(sweep, callback, stop):
-        sweep.states, sweep.learned = sweep.programs.initial(), {}
+        sweep.states, sweep.learned = sweep.programs.states.initial(), {}
         sweep.evaluations = sweep.config.num_epochs // sweep.config.epochs_per_evaluation
         callback.evaluated(sweep)
 

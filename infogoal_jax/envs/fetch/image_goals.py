@@ -145,6 +145,7 @@ class ImageGoals(Environment):
         nearest = jnp.clip(jnp.round(place), 0, last).astype(jnp.int32)
         return jnp.where(near, flattened(nearest, self.grid_shape), -1)[..., None]
 
+
 def make(name: str, config: FetchConfig) -> ImageGoals:
     """Make the task from the goal images and backgrounds of the configuration. Raises `UserError` for unusable
     files."""
