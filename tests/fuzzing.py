@@ -24,9 +24,9 @@ from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK
 from infogoal_jax.cli.main import commands as all_commands
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs import checkpoint, search, tables
+from infogoal_jax.runs import checkpoint, tables
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
+from infogoal_jax.runs.search import Trial, TuneResult, write_plan, write_scores
 from infogoal_jax.runs.tables import Timing
 
 WHOLE = st.sampled_from([0, -1, 1, 2, 7, 2**31 - 1, 2**31, 2**32, 2**63, 10**20]) | st.integers()
@@ -215,11 +215,10 @@ def write_run(folder: Path) -> None:
         for seed in (1000, 1001)
     ]
     folder.mkdir()
-    values = {"discount": 0.9}
-    search.write_plan(folder, about, Plan(1, {"discount": {"low": 0.5}}, [Drawn(0, values)]))
-    line = TrialLine(0, True, values, [1000, 1001], "train", [1, 2], [[0.0, 1.0]] * 2, [[0.1, 0.2]] * 2, 0.5, [])
-    best = Best(0, 0.5, 0.5, "train", 2, True, values, config.task, [], "", 1.0, 1.0)
-    search.write_scores(folder, [line], best)
+    trial = Trial(0, {"discount": 0.9}, [[0.0, 1.0]] * 2, [[0.1, 0.2]] * 2)
+    found = TuneResult(about, "train", [trial])
+    write_plan(folder, found)
+    write_scores(folder, found)
     for table in tables.TABLES:
         tables.append_rows(folder, table, rows)
     tables.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))

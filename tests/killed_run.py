@@ -23,7 +23,7 @@ from infogoal_jax.report.canvas import empty_figure, save
 from infogoal_jax.runner import search, training
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
-from infogoal_jax.runs.search import Trial
+from infogoal_jax.runs.search import Trial, read_plan
 
 REFUSED = 2
 STOPPED = 130
@@ -130,7 +130,7 @@ def tune(folder: Path) -> bool:
     """A search of two trials, or what is left of it."""
     config, env = search_config(), hand_made.environment()
     resume = (folder / "config.json").exists()
-    trials = tuning.read_drawn(folder)[1] if resume else None
+    trials = read_plan(folder)[1] if resume else None
     with tuning.watching(config, 2, 2, folder) as watch:
         if resume:
             return search.final(config, trials, [1000, 1001], env, watch, resume=True).finished
@@ -141,7 +141,7 @@ def final(folder: Path) -> bool:
     """A final of two trials, or what is left of it."""
     config, env = search_config(), hand_made.environment()
     preset = {"discount": values_of(config.hyper)["discount"]}
-    trials = [Trial(0, preset, [], [], []), Trial(3, {"discount": 0.9}, [], [], [])]
+    trials = [Trial(0, preset), Trial(3, {"discount": 0.9})]
     with tuning.watching(config, 2, 2, folder, "final") as watch:
         resume = (folder / "config.json").exists()
         return search.final(config, trials, [1008, 1009], env, watch, resume).finished

@@ -10,10 +10,8 @@ import numpy as np
 
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
-from infogoal_jax.report import tuning
-from infogoal_jax.runner.search import plan_of
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.search import Trial, TuneResult, write_plan
+from infogoal_jax.runs.search import Trial, TuneResult, write_plan, write_scores
 from infogoal_paper import claims
 from infogoal_paper.files import Result, command_of, recorded_config
 from infogoal_paper.image_goal_figures import WEIGHTS
@@ -169,21 +167,11 @@ def made(config, successes, diverged=()) -> TuneResult:
         )
         for number, each in enumerate(successes)
     ]
-    return TuneResult(
-        config,
-        "train",
-        ("learning_rate",),
-        [1000],
-        list(range(1, len(successes[0]) + 1)),
-        trials,
-        0.0,
-        0.0,
-        Description(config, [1000], "made up", {}, "cpu"),
-    )
+    return TuneResult(Description(config, [1000], "made up", {}, "cpu"), "train", trials)
 
 
 def save(found: TuneResult, folder: Path) -> None:
     """Leave a search on disk as the command does."""
     folder.mkdir()
-    write_plan(folder, found.about, plan_of(found))
-    tuning.save(found, folder)
+    write_plan(folder, found)
+    write_scores(folder, found)

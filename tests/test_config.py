@@ -224,8 +224,8 @@ def test_on_fetch_reach_a_preset_is_what_won_the_final(method):
     """Of the preset of that time and the three best of the search, on eight seeds that did not choose them."""
     searched, final = SEARCHES[f"fetch_reach/{method}"], SEARCHES[f"fetch_reach/{method}/final"]
     ran = trials_of(final)
-    assert [(trial.number, trial.values) for trial in ran] == [
-        (trial.number, trial.values) for trial in searching.finalists(trials_of(searched), 4)
+    assert [(trial.trial, trial.values) for trial in ran] == [
+        (trial.trial, trial.values) for trial in searching.finalists(trials_of(searched), 4)
     ]
     assert len(final["seeds"]) == 8 and not set(searched["seeds"]) & set(final["seeds"])
     assert max(ran, key=lambda trial: trial.order).values == best_of(final)

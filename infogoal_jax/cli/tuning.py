@@ -116,10 +116,10 @@ def final(
     require(bool(search) != bool(resume), "search", search, "give the folder of a search, or --resume with a final's")
     if resume:
         return go_on(resume, "final")
-    from infogoal_jax.report import tuning
     from infogoal_jax.runner import search as searching
+    from infogoal_jax.runs.search import read_trials
 
-    about, found = tuning.read(Path(search))
+    about, found = read_trials(Path(search))
     finalists = searching.finalists(found, trials)
     first = max(about.seeds) + 1 if first_seed is None else first_seed
     numbers = seeds_from(first, seeds)
@@ -139,10 +139,10 @@ def final(
 
 def go_on(folder: str, command: str, config: Any = None) -> int:
     """Go on with the search or the final in this folder. Returns the exit status."""
-    from infogoal_jax.report import tuning
     from infogoal_jax.runner import search as searching
+    from infogoal_jax.runs.search import read_plan
 
-    about, trials = tuning.read_drawn(Path(folder))
+    about, trials = read_plan(Path(folder))
     config = about.config if config is None else config
     return watch_search(
         config,

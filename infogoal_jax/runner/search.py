@@ -9,6 +9,7 @@ The best of many trials owes something to luck: in a final the preset and the be
 with more and other seeds.
 """
 
+import contextlib
 import dataclasses
 import zlib
 from collections.abc import Callable, Sequence
@@ -42,9 +43,9 @@ from infogoal_jax.runner.training import checked_seeds, describe
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.checkpoint import check_same
 from infogoal_jax.runs.configuration import from_values
-from infogoal_jax.runs.disk import Place, decode
+from infogoal_jax.runs.disk import Place, decode_value
 from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
-from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
+from infogoal_jax.runs.search import Trial, TuneResult, check_trials, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, Stopped, StopRequest, stop_on_signal
 from infogoal_jax.train.contracts import check_simulated
 from infogoal_jax.train.program import Train
@@ -64,14 +65,6 @@ class Watch(NamedTuple):
     command: str = "tune"
     compiling: Callable[[], None] = lambda: None
     evaluated: Callable[[TuneResult], None] = lambda result: None
-
-
-@dataclasses.dataclass(frozen=True)
-class Saved:
-    """What the header of a checkpoint says beside the description: evaluations so far, and what each trial came to."""
-
-    evaluations: int
-    trials: list[Trial]
 
 
 def same_budget(config: TrainConfig) -> TrainConfig:
@@ -144,7 +137,7 @@ def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
         if len(chosen) < count and all(trial.values != other.values for other in chosen):
             chosen.append(trial)
     require(len(chosen) == count, "trials", count, f"the search has {len(chosen)} different settings; give no more")
-    return [Trial(trial.number, trial.values, [], [], []) for trial in chosen]
+    return [Trial(trial.trial, trial.values) for trial in chosen]
 
 
 def tune(
@@ -177,9 +170,7 @@ def tune(
         tuple(fields) or tuple(name for name in matter if search_space(config.hyper)[name].always),
         trials,
     )
-    return train_trials(
-        train, group, [Trial(number, values, [], [], []) for number, values in enumerate(drawn)], seeds, watch
-    )
+    return train_trials(train, group, list(map(Trial, range(trials), drawn)), seeds, watch)
 
 
 def final(
@@ -233,34 +224,23 @@ def train_trials(
     with stop_on_signal() as stop:
         hyper = batched_hyper(train.config.hyper, [trial.values for trial in trials for _ in seeds])
         programs = side_by_side(train, seeds * len(trials), hyper, NUMBER)
-        about = describe(train.config, train.env, seeds)
-        fields = tuple(trials[0].values)
-        result = TuneResult(about.config, group, fields, seeds, [], list(trials), 0.0, 0.0, about)
+        result = TuneResult(describe(train.config, train.env, seeds), group, list(trials))
         if not resume:
             programs.check()
-        if watch is None:
-            return train_from(result, None, programs, None, stop)
-        with only_writer(watch.folder, new=() if resume else SEARCH):
+        new = () if resume else SEARCH
+        with contextlib.nullcontext() if watch is None else only_writer(watch.folder, new):
             members = None
             if resume:
                 result, members = last_point(watch.folder, result, programs)
                 programs.check()
-            if not resume or read_plan(watch.folder)[0] != about:
-                write_plan(watch.folder, about, plan_of(result))
-            return train_from(result, members, programs, watch, stop)
-
-
-def train_from(
-    result: TuneResult, members: Member | None, programs: Programs, watch: Watch | None, stop: StopRequest
-) -> TuneResult:
-    """Train all members from where they are."""
-    scores = Scores(result, watch, stop)
-    stop.check()
-    sweep = Sweep(result.config, programs, members, len(result.epochs))
-    train_sweep(sweep, scores, stop)
-    if sweep.states is None:
-        raise Stopped(stop.advice)
-    return dataclasses.replace(scores.result, compile_seconds=sweep.prepare_seconds)
+            if watch is not None and not (resume and read_plan(watch.folder)[0] == result.about):
+                write_plan(watch.folder, result)
+            scores = Scores(result, watch, stop)
+            stop.check()
+            sweep = train_sweep(Sweep(result.config, programs, members, len(result.epochs)), scores, stop)
+            if sweep.states is None:
+                raise Stopped(stop.advice)
+            return dataclasses.replace(scores.result, compile_seconds=sweep.prepare_seconds)
 
 
 class Scores(Callback):
@@ -279,41 +259,27 @@ class Scores(Callback):
 
     def evaluated(self, sweep: Sweep) -> None:
         """Add what each trial came to, and keep it."""
-        result = self.result
-        shape = len(result.trials), len(result.seeds)
-        seen = {
-            "success": sweep.scored[f"{result.group}_goal/success_rate"],
-            "loss": sweep.learned["agent/loss"][:, -1],
-            "finite": is_finite(sweep.learned),
-        }
-        seen = {name: np.asarray(value).reshape(shape).tolist() for name, value in seen.items()}
+        shape = len(self.result.trials), len(self.result.seeds)
+        success = sweep.scored[f"{self.result.group}_goal/success_rate"].reshape(shape).tolist()
+        loss, finite = sweep.learned["agent/loss"][:, -1].reshape(shape).tolist(), is_finite(sweep.learned)
+        lost = [np.array(self.result.seeds)[~row].tolist() for row in finite.reshape(shape)]
+        trials = [
+            dataclasses.replace(
+                trial,
+                success=[*trial.success, success[place]],
+                loss=[*trial.loss, loss[place]],
+                diverged=sorted({*trial.diverged, *lost[place]}),
+            )
+            for place, trial in enumerate(self.result.trials)
+        ]
         self.result = result = dataclasses.replace(
-            result,
-            epochs=[*result.epochs, sweep.evaluations * result.config.epochs_per_evaluation],
-            compile_seconds=sweep.prepare_seconds,
-            run_seconds=sweep.run_seconds,
-            trials=[
-                continued(trial, result.seeds, *(seen[name][place] for name in ("success", "loss", "finite")))
-                for place, trial in enumerate(result.trials)
-            ],
+            self.result, trials=trials, compile_seconds=sweep.prepare_seconds, run_seconds=sweep.run_seconds
         )
         if self.watch is not None:
             self.watch.evaluated(result)
-            saved = Saved(len(result.epochs), result.trials)
-            checkpoint.save(
-                self.watch.folder / "checkpoint", result.about.values() | dataclasses.asdict(saved), sweep.states
-            )
+            header = result.about.values() | {"trials": [dataclasses.asdict(trial) for trial in trials]}
+            checkpoint.save(self.watch.folder / "checkpoint", header, sweep.states)
             self.stop.advice = how_to_go_on(self.watch, result)
-
-
-def plan_of(result: TuneResult) -> Plan:
-    """What a search is to run."""
-    space = search_space(result.config.hyper)
-    return Plan(
-        trials=len(result.trials),
-        space={field: search._asdict() for field, search in space.items() if field in result.fields},
-        drawn=[Drawn(trial.number, trial.values) for trial in result.trials],
-    )
 
 
 def how_to_go_on(watch: Watch | None, result: TuneResult) -> str:
@@ -332,31 +298,17 @@ def last_point(folder: Path, start: TuneResult, programs: Programs) -> tuple[Tun
     """
     about, plan = read_plan(folder)
     check_same(folder / "config.json", about, start.about, longer=False)
-    path = folder / "checkpoint"
-    if plan != plan_of(start):
+    path, drawn = folder / "checkpoint", [trial.drawn() for trial in start.trials]
+    if [trial.drawn() for trial in plan] != drawn:
         raise Place(folder / "config.json").refusal("its trials are others than those that are to go on")
     if not path.exists():
         return start, None
     header, payload = checkpoint.read_header(path)
     place = Place(path, remedy=checkpoint.REMEDY)
     check_same(path, from_values(header, place), start.about, longer=False)
-    saved = decode(Saved, header, place)
-    alike = [(trial.number, trial.values) for trial in saved.trials] == [
-        (trial.number, trial.values) for trial in start.trials
-    ]
-    whole = all(len(trial.success) == len(trial.loss) == saved.evaluations for trial in saved.trials)
-    if not alike or not whole or not 0 < saved.evaluations <= start.config.num_evaluations:
+    trials = decode_value(list[Trial], header.get("trials"), "trials", place)
+    check_trials(trials, place, start.seeds)
+    saved = dataclasses.replace(start, trials=trials)
+    if [trial.drawn() for trial in trials] != drawn or not 0 < len(saved.epochs) <= start.config.num_evaluations:
         raise place.refusal("its trials are not those of config.json")
-    chunk = start.config.epochs_per_evaluation
-    epochs = [chunk * number for number in range(1, saved.evaluations + 1)]
-    return dataclasses.replace(start, epochs=epochs, trials=saved.trials), checkpoint.arrays(
-        path, payload, programs.states.shapes
-    )
-
-
-def continued(trial: Trial, seeds: list[int], success: list[float], loss: list[float], finite: list[bool]) -> Trial:
-    """The trial after another evaluation; each list has a number for each seed."""
-    lost = {seed for seed, good in zip(seeds, finite, strict=True) if not good}
-    return dataclasses.replace(
-        trial, success=[*trial.success, success], loss=[*trial.loss, loss], diverged=sorted(lost.union(trial.diverged))
-    )
+    return saved, checkpoint.arrays(path, payload, programs.states.shapes)

@@ -6,6 +6,7 @@ config.json has, beside what it says of every run, the trials that were drawn an
 
 import dataclasses
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +14,30 @@ import numpy as np
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, typed
-from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.hyperparameters import search_space, with_values
+from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs import configuration, disk
-from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.disk import Place, decode, parse, parse_lines, read_bytes
+from infogoal_jax.runs.configuration import OF_A_SEARCH, Description
+from infogoal_jax.runs.disk import Place, decode, decode_value, parse, parse_lines, read_bytes
 
 GIVE_A_SEARCH = "give the folder of an `infogoal tune` or `infogoal final`"
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """One setting. number: in the search that drew it; values: of the fields searched; success, loss: [evaluations so
-    far][seeds], of the scored goals and of the agent at that time; diverged: seeds whose loss or gradient stopped being
-    finite."""
+    """One setting, and what came of it.
 
-    number: int
+    trial: its number in the search that drew it; 0 is the preset.
+    values: of the fields searched.
+    success, loss: [evaluations so far][seeds], of the scored goals and of the agent at that time.
+    diverged: seeds whose loss or gradient stopped being finite.
+    """
+
+    trial: int
     values: dict[str, float]
-    success: list[list[float]]
-    loss: list[list[float]]
-    diverged: list[int]
+    success: list[list[float]] = dataclasses.field(default_factory=list)
+    loss: list[list[float]] = dataclasses.field(default_factory=list)
+    diverged: list[int] = dataclasses.field(default_factory=list)
 
     @property
     def score(self) -> float:
@@ -42,23 +48,47 @@ class Trial:
     def order(self) -> tuple:
         """What trials are compared by: seeds that did not diverge, score, then how early there was success, then the
         preset first."""
-        return -len(self.diverged), self.score, float(np.mean(self.success)), -self.number
+        return -len(self.diverged), self.score, float(np.mean(self.success)), -self.trial
+
+    def drawn(self) -> dict[str, Any]:
+        """Number and values, as config.json has them."""
+        return {"trial": self.trial, "values": self.values}
 
 
 @dataclasses.dataclass(frozen=True)
 class TuneResult:
-    """A search or final, as far as it came. group: of the goals that scores are of, `validation` or `train`; epochs: of
-    the evaluations so far."""
+    """A search or final, as far as it came.
 
-    config: TrainConfig
-    group: str
-    fields: tuple[str, ...]
-    seeds: list[int]
-    epochs: list[int]
-    trials: list[Trial]
-    compile_seconds: float
-    run_seconds: float
+    about: what it is of.
+    group: of the goals that scores are of, `validation` or `train`.
+    """
+
     about: Description
+    group: str
+    trials: list[Trial]
+    compile_seconds: float = 0.0
+    run_seconds: float = 0.0
+
+    @property
+    def config(self) -> TrainConfig:
+        """The configuration that trials differ from in their values."""
+        return self.about.config
+
+    @property
+    def seeds(self) -> list[int]:
+        """Of each trial."""
+        return self.about.seeds
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The hyperparameters that are searched."""
+        return tuple(self.trials[0].values)
+
+    @property
+    def epochs(self) -> list[int]:
+        """Of the evaluations so far."""
+        every = self.config.epochs_per_evaluation
+        return [every * number for number in range(1, len(self.trials[0].success) + 1)]
 
     @property
     def finished(self) -> bool:
@@ -70,87 +100,76 @@ class TuneResult:
         """The trial of the highest score; among equals the one that was good earliest, then the preset."""
         return max(self.trials, key=lambda trial: trial.order)
 
+    @property
+    def flags(self) -> list[str]:
+        """Those of `infogoal train` that train with the best trial's values."""
+        return train_flags(self.config_of(self.best))
+
+    @property
+    def command(self) -> str:
+        """The command that trains with the best trial's values."""
+        return shlex.join(["infogoal", "train", self.config.task, *self.flags])
+
     def config_of(self, trial: Trial) -> TrainConfig:
         """The configuration with a trial's values."""
         return dataclasses.replace(self.config, hyper=with_values(self.config.hyper, trial.values))
 
 
-@dataclasses.dataclass(frozen=True)
-class Drawn:
-    """A setting that is to be run: its number in the search that drew it, and the values of the fields searched."""
-
-    trial: int
-    values: dict[str, float]
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """What config.json of a search says beside the description. space: where each field was drawn from."""
-
-    trials: int
-    space: dict[str, dict[str, Any]]
-    drawn: list[Drawn]
+def write_plan(folder: Path, result: TuneResult) -> None:
+    """Write config.json of a search: what it is of, and the trials that it is to run."""
+    space = search_space(result.config.hyper)
+    drawn = {
+        "trials": len(result.trials),
+        "space": {field: space[field]._asdict() for field in result.fields},
+        OF_A_SEARCH: [trial.drawn() for trial in result.trials],
+    }
+    configuration.write(folder, result.about, **drawn)
 
 
-@dataclasses.dataclass(frozen=True)
-class TrialLine:
-    """A line of trials.jsonl. goals: the group that scores are of; epochs: of the evaluations so far; success, loss:
-    [evaluations so far][seeds]; score: success at the last; diverged: seeds."""
-
-    trial: int
-    preset: bool
-    values: dict[str, float]
-    seeds: list[int]
-    goals: str
-    epochs: list[int]
-    success: list[list[float]]
-    loss: list[list[float]]
-    score: float
-    diverged: list[int]
-
-
-@dataclasses.dataclass(frozen=True)
-class Best:
-    """best.json: the best trial so far, and the flags that train with its values. finished: whether there was the last
-    evaluation."""
-
-    trial: int
-    score: float
-    score_of_preset: float
-    goals: str
-    epoch: int
-    finished: bool
-    values: dict[str, float]
-    task: str
-    flags: list[str]
-    command: str
-    compile_seconds: float
-    run_seconds: float
-
-
-def write_plan(folder: Path, about: Description, plan: Plan) -> None:
-    """Write config.json of a search."""
-    configuration.write(folder, about, **dataclasses.asdict(plan))
-
-
-def read_plan(folder: Path) -> tuple[Description, Plan]:
-    """What a search is of and was to run. Raises `UserError` for a folder that holds none."""
+def read_plan(folder: Path) -> tuple[Description, list[Trial]]:
+    """What a search or a final is of, and the trials that it was to run. Raises `UserError` for a folder that holds
+    none."""
     about, place = configuration.read(folder, "search", GIVE_A_SEARCH), Place(folder / configuration.NAME)
     values = parse(read_bytes(place, f"{place.path}: not there"), place)
-    if configuration.OF_A_SEARCH not in values:
+    if OF_A_SEARCH not in values:
         raise UserError(f"search = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
-    plan = decode(Plan, values, place)
-    check_alike(plan.drawn, place)
-    return about, plan
+    trials = decode_value(list[Trial], values[OF_A_SEARCH], OF_A_SEARCH, place)
+    check_trials(trials, place)
+    return about, trials
 
 
-def write_scores(folder: Path, lines: list[TrialLine], best: Best) -> None:
-    """Write trials.jsonl and best.json."""
-    disk.write_text(folder / "trials.jsonl", "".join(json.dumps(dataclasses.asdict(line)) + "\n" for line in lines))
-    disk.write_json(folder / "best.json", dataclasses.asdict(best), indent=2)
+def write_scores(folder: Path, result: TuneResult) -> None:
+    """Write trials.jsonl, what each trial came to so far, and best.json, the best."""
+    lines = [
+        dataclasses.asdict(trial)
+        | {
+            "preset": trial.trial == 0,
+            "seeds": result.seeds,
+            "goals": result.group,
+            "epochs": result.epochs,
+            "score": trial.score,
+        }
+        for trial in result.trials
+    ]
+    disk.write_text(folder / "trials.jsonl", "".join(json.dumps(line) + "\n" for line in lines))
+    best = {
+        "trial": result.best.trial,
+        "score": result.best.score,
+        "score_of_preset": result.trials[0].score,
+        "goals": result.group,
+        "epoch": result.epochs[-1],
+        "finished": result.finished,
+        "values": result.best.values,
+        "task": result.config.task,
+        "flags": result.flags,
+        "command": result.command,
+        "compile_seconds": result.compile_seconds,
+        "run_seconds": result.run_seconds,
+    }
+    disk.write_json(folder / "best.json", best, indent=2)
 
 
-def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
+def read_trials(folder: Path) -> tuple[Description, list[Trial]]:
     """What a search that came to its end is of, and its trials 0, 1, 2, ... Raises `UserError` if the folder holds
     none."""
     place = Place(folder / "trials.jsonl", remedy="bring back a copy of the file, or search again")
@@ -160,29 +179,29 @@ def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
         "tune`",
     )
     about = configuration.read(folder, "search", GIVE_A_SEARCH)
-    lines = [decode(TrialLine, values, at) for at, values in parse_lines(content, place)]
-    numbers = [line.trial for line in lines]
-    if not lines or numbers != list(range(len(lines))):
+    trials = [decode(Trial, values, at) for at, values in parse_lines(content, place)]
+    check_trials(trials, place, about.seeds)
+    if [trial.trial for trial in trials] != list(range(len(trials))):
         raise place.refusal(
             "it should have the trials 0, 1, 2, ...; a final has others, and there is no final of a final"
         )
-    check_alike(lines, place)
-    for number, line in enumerate(lines, 1):
-        at = place._replace(line=number)
-        for name in ("success", "loss"):
-            scores = getattr(line, name)
-            if len(scores) != len(line.epochs) or any(len(row) != len(about.seeds) for row in scores):
-                raise at.wrong(name, scores, f"should be [{len(line.epochs)}][{len(about.seeds)}]: evaluations, seeds")
-    done, last = min(len(line.epochs) for line in lines), about.config.num_evaluations
+    done, last = len(trials[0].success), about.config.num_evaluations
     if done < last:
         raise UserError(
             f"search = {str(folder)!r}: was stopped after {done} of {last} evaluations; go on with: infogoal tune "
             f"--resume {typed(folder)}"
         )
-    return about, lines
+    return about, trials
 
 
-def check_alike(trials: list[Drawn] | list[TrialLine], place: Place) -> None:
-    """Raise `UserError` for trials of different fields."""
+def check_trials(trials: list[Trial], place: Place, seeds: list[int] | None = None) -> None:
+    """Raise `UserError` for none, for trials of different fields, or for scores that are not of the same number of
+    evaluations and seeds, which are none before the first."""
     if not trials or any(trial.values.keys() != trials[0].values.keys() for trial in trials):
         raise place.refusal("its trials have different fields, or there are none")
+    evaluations, count = len(trials[0].success), len(seeds or ())
+    for trial in trials:
+        for name, scores in (("success", trial.success), ("loss", trial.loss)):
+            if len(scores) != evaluations or any(len(row) != count for row in scores):
+                problem = f"should be [{evaluations}][{count}]: evaluations, seeds"
+                raise place.wrong(f"{name} of trial {trial.trial}", scores, problem)

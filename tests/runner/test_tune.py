@@ -17,8 +17,8 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import check, search_space, values_of, with_values
 from infogoal_jax.report import tuning
 from infogoal_jax.runner import search, training
-from infogoal_jax.runner.search import Watch, plan_of, tune
-from infogoal_jax.runs.search import write_plan
+from infogoal_jax.runner.search import Watch, tune
+from infogoal_jax.runs.search import write_plan, write_scores
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def result(env, tmp_path_factory):
     folder, left = tmp_path_factory.mktemp("search"), []
 
     def evaluated(found):
-        tuning.save(found, folder)
+        write_scores(folder, found)
         left.append({path.name: path.read_text() for path in folder.glob("*.json*")})
 
     watch = Watch(folder, evaluated=evaluated)
@@ -182,13 +182,10 @@ def test_mistakes_are_refused_before_anything_is_compiled(trials, seeds, fields,
 def test_a_final_runs_trials_of_a_search_again(result, env):
     """With the seeds of the search each is what it was there, wherever it stands; with others it is not."""
     found, _ = result
-    finalists = [
-        search.Trial(5, found.trials[1].values, [], [], []),
-        search.Trial(0, found.trials[0].values, [], [], []),
-    ]
+    finalists = [search.Trial(5, found.trials[1].values), search.Trial(0, found.trials[0].values)]
     again = search.final(found.config, finalists, found.seeds, env=env)
     assert (
-        [trial.number for trial in again.trials] == [5, 0]
+        [trial.trial for trial in again.trials] == [5, 0]
         and again.fields == found.fields
         and again.epochs == found.epochs
     )
@@ -239,7 +236,7 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
         asked.append((config.num_epochs, presets.names_of(config)["learner"], trials, list(seeds), fields))
         found = made(config, [[0.25], [0.5]])
         watch.folder.mkdir()
-        write_plan(watch.folder, found.about, plan_of(found))
+        write_plan(watch.folder, found)
         watch.evaluated(found)
         return found
 
@@ -273,7 +270,7 @@ def test_no_number_of_the_table_is_broken_over_two_lines(capsys, monkeypatch):
     values = dict.fromkeys(search_space(found.config.hyper), 0.00097461)
     for trial in found.trials:
         trial.values.update(values)
-    tuning.print_result(dataclasses.replace(found, fields=tuple(values)))
+    tuning.print_result(found)
     printed = capsys.readouterr().out
     assert printed.partition("scores")[0].count(" 0.0009746 ") == 2 * len(values) > 6
     assert "for want of validation goals, seed 1000, after epoch 1" in printed

@@ -32,11 +32,12 @@ from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.report import figures, runs, summary, tuning
+from infogoal_jax.report import figures, runs, summary
 from infogoal_jax.runner import search as searching
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import from_dict, to_dict
+from infogoal_jax.runs.search import read_plan, read_trials
 from infogoal_jax.stand_ins import cube, shelf
 from infogoal_paper import command, goal_rendering, numbers
 
@@ -86,8 +87,8 @@ def go_on(folder: Path) -> None:
 READERS = (
     configuration.read,
     go_on,
-    tuning.read,
-    tuning.read_drawn,
+    read_trials,
+    read_plan,
     tables.read_timing,
     lambda folder: checkpoint.load(folder / "policy", TREE),
     lambda folder: tables.read_table(folder, "evaluations"),
