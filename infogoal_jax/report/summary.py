@@ -114,6 +114,18 @@ def score_table(scores: dict[str, np.ndarray]) -> Table:
     return table
 
 
+def number_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Rows below their titles, without columns that are empty. Titles are broken where the terminal is narrow, numbers
+    never."""
+    table = Table()
+    columns = [column for column in zip(titles, zip(*rows, strict=True), strict=True) if any(column[1])]
+    for title, cells in columns:
+        table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
+    for row in zip(*(cells for _, cells in columns), strict=True):
+        table.add_row(*row)
+    return table
+
+
 def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
     """What corrupted goals are, with a semicolon before; nothing for a task without them."""
     return (

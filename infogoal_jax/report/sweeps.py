@@ -1,12 +1,10 @@
 """What the settings of a sweep came to: a table with intervals over seeds, and one figure of all."""
 
-import itertools
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from infogoal_jax import checks
 from infogoal_jax.config import TrainConfig
@@ -15,7 +13,7 @@ from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.report.summary import print_run
+from infogoal_jax.report.summary import number_table, print_run
 from infogoal_jax.runner.executors import Outcome, run_here
 from infogoal_jax.runner.parts import Plan, run_parts, settings_of
 from infogoal_jax.runner.training import checked_seeds
@@ -108,14 +106,7 @@ def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> Non
         ]
         rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
-    table = Table()
-    for title, cells in zip(titles, itertools.zip_longest(*rows), strict=True):
-        if any(cells):
-            table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
-    kept = [place for place, cells in enumerate(zip(*rows, strict=True)) if any(cells)]
-    for row in rows:
-        table.add_row(*(row[place] for place in kept))
-    console.print(table, crop=False)
+    console.print(number_table(titles, rows), crop=False)
     seeds = f"{len(plan.seeds)} seeds" if len(plan.seeds) > 1 else "1 seed"
     if any(cells for row in rows for cells in row[len(names) : -1]):
         console.print(f"success at the last evaluation, mean and 95 % interval over {seeds}", soft_wrap=True)

@@ -5,12 +5,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
+from infogoal_jax.report.summary import number_table
 from infogoal_jax.runner.progress import progress_line
 from infogoal_jax.runner.search import Watch
 from infogoal_jax.runs.search import TuneResult, write_scores
@@ -39,7 +39,6 @@ def watching(config: TrainConfig, trials: int, seeds: int, folder: Path, command
 def print_result(result: TuneResult) -> None:
     """The best trials and the preset, what they were scored on, how long it took, and how to train with the best."""
     console, ranked = Console(), sorted(result.trials, key=lambda trial: trial.order, reverse=True)
-    table = Table()
     rows = [
         (
             "0 (preset)" if trial.trial == 0 else str(trial.trial),
@@ -48,12 +47,7 @@ def print_result(result: TuneResult) -> None:
         )
         for trial in ranked[:SHOWN] + [trial for trial in ranked[SHOWN:] if trial.trial == 0]
     ]
-    for title, cells in zip(("trial", "success", *result.fields), zip(*rows, strict=True), strict=True):
-        # Titles are broken where the terminal is narrow, numbers never.
-        table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
-    for row in rows:
-        table.add_row(*row)
-    console.print(table, crop=False)
+    console.print(number_table(("trial", "success", *result.fields), rows), crop=False)
     first, *more = result.seeds
     seeds = f"mean of {len(result.seeds)} seeds ({first} to {more[-1]})" if more else f"seed {first}"
     lines = [

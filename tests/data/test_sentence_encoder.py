@@ -1,4 +1,4 @@
-"""The sentence encoder: what sentence-transformers computes, and other or missing weights are refused."""
+"""The sentence encoder: what sentence-transformers computes, and missing weights are refused."""
 
 import importlib.util
 import sys
@@ -41,7 +41,7 @@ def write_tiny_encoder(folder, hidden_size=24, heads=3, seed=0):
 
 def test_embeddings_have_length_1_and_do_not_depend_on_what_is_embedded_beside_them(tmp_path):
     write_tiny_encoder(tmp_path / "tiny")
-    encoder = sentence_encoder.load_encoder(tmp_path / "tiny", allow_other_weights=True)
+    encoder = sentence_encoder.load_encoder(tmp_path / "tiny")
     texts = ["a red mug", "Bottle", "a BLUE mug of  soda nobody knows", "a a a a a a red bottle", "word " * 300]
     alone = np.concatenate([sentence_encoder.encode(encoder, [one]) for one in texts])
     assert alone.shape == (5, 24) and alone.dtype == np.float32
@@ -55,12 +55,15 @@ def test_embeddings_have_length_1_and_do_not_depend_on_what_is_embedded_beside_t
             sentence_encoder.encode(encoder, wrong)
 
 
-def test_other_weights_are_refused_unless_allowed_and_then_recorded(tmp_path):
+def test_other_weights_are_taken_from_a_folder_and_recorded_but_not_from_the_package(tmp_path, monkeypatch):
     write_tiny_encoder(tmp_path / "tiny")
-    with pytest.raises(UserError, match=sentence_encoder.WEIGHTS_SHA256):
-        sentence_encoder.load_encoder(tmp_path / "tiny")
-    encoder = sentence_encoder.load_encoder(tmp_path / "tiny", allow_other_weights=True)
-    assert len(encoder.weights_sha256) == 64 and encoder.weights_sha256 != sentence_encoder.WEIGHTS_SHA256
+    with monkeypatch.context() as patched, pytest.raises(UserError, match="other checksums"):
+        patched.setattr(sentence_encoder, "_installed_folder", lambda: tmp_path / "tiny")
+        sentence_encoder.load_encoder()
+    encoder = sentence_encoder.load_encoder(tmp_path / "tiny")
+    assert (
+        len(encoder.weights_sha256) == 64 and encoder.weights_sha256 != sentence_encoder.OFFICIAL["model.safetensors"]
+    )
     assert encoder.model != sentence_encoder.MODEL
 
 
@@ -70,7 +73,7 @@ def test_unusable_folders_are_user_errors(tmp_path):
 
     def refused(message):
         with pytest.raises(UserError, match=message):
-            sentence_encoder.load_encoder(folder, allow_other_weights=True)
+            sentence_encoder.load_encoder(folder)
 
     config = (folder / "config.json").read_text()
     (folder / "config.json").write_text("{")
@@ -86,9 +89,9 @@ def test_embedding_into_a_file_adds_to_it_and_loses_nothing(tmp_path):
     write_tiny_encoder(tmp_path / "tiny", hidden_size=text.EMBEDDING_SIZE, heads=12)
     write_tiny_encoder(tmp_path / "other", hidden_size=text.EMBEDDING_SIZE, heads=12, seed=1)
     out = tmp_path / "my_embeddings.npz"
-    first = sentence_encoder.embed_file(["a red mug", "A_Red_Mug"], out, tmp_path / "tiny", allow_other_weights=True)
+    first = sentence_encoder.embed_file(["a red mug", "A_Red_Mug"], out, tmp_path / "tiny")
     assert first.texts == ("a red mug",)
-    both = sentence_encoder.embed_file(["blue_bottle", "A red  mug"], out, tmp_path / "tiny", allow_other_weights=True)
+    both = sentence_encoder.embed_file(["blue_bottle", "A red  mug"], out, tmp_path / "tiny")
     assert both.texts == text.load(out).texts == ("a red mug", "blue bottle")
     np.testing.assert_array_equal(text.embed_known(["a red mug"], text.load(out)), first.vectors)
     before = out.read_bytes()
@@ -98,11 +101,11 @@ def test_embedding_into_a_file_adds_to_it_and_loses_nothing(tmp_path):
         ([], "tiny", "at least one text"),
     ]:
         with pytest.raises(UserError, match=message):
-            sentence_encoder.embed_file(texts, out, tmp_path / folder, allow_other_weights=True)
+            sentence_encoder.embed_file(texts, out, tmp_path / folder)
     assert out.read_bytes() == before
     out.write_bytes(before[:-50])
     with pytest.raises(UserError, match="damaged"):
-        sentence_encoder.embed_file(["soda"], out, tmp_path / "tiny", allow_other_weights=True)
+        sentence_encoder.embed_file(["soda"], out, tmp_path / "tiny")
     assert out.read_bytes() == before[:-50]
 
 
