@@ -101,13 +101,6 @@ class GoalImages:
         seed = f", seed {self.about['seed']}" if "seed" in self.about else ""
         return f"{counts} goals, grid of {100 * self.spacing:g} cm{seed}"
 
-    def nearest_cell(self, positions) -> np.ndarray:
-        """Index of the grid's image nearest to each position [..., 3] (m), int [...]; of the closest at the border for
-        positions outside."""
-        steps = np.rint((np.asarray(positions) - self.grid_low) / self.spacing).astype(int)
-        x, y, z = np.moveaxis(np.clip(steps, 0, np.array(self.grid_shape) - 1), -1, 0)
-        return (x * self.grid_shape[1] + y) * self.grid_shape[2] + z
-
 
 def grid_positions(low, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
     """Positions [nx * ny * nz, 3] of a grid in C order, in m."""
