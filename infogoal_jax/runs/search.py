@@ -180,11 +180,11 @@ def read_trials(folder: Path) -> tuple[Description, list[Trial]]:
     )
     about = configuration.read(folder, "search", GIVE_A_SEARCH)
     trials = [decode(Trial, values, at) for at, values in parse_lines(content, place)]
-    check_trials(trials, place, about.seeds)
-    if [trial.trial for trial in trials] != list(range(len(trials))):
+    if not trials or [trial.trial for trial in trials] != list(range(len(trials))):
         raise place.refusal(
             "it should have the trials 0, 1, 2, ...; a final has others, and there is no final of a final"
         )
+    check_trials(trials, place, about.seeds)
     done, last = len(trials[0].success), about.config.num_evaluations
     if done < last:
         raise UserError(
