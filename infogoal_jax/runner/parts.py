@@ -26,14 +26,15 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
+from infogoal_jax.imports import checksums
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
 from infogoal_jax.runner.listeners import success_in_words
 from infogoal_jax.runner.progress import COMPILING, clock
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
-from infogoal_jax.runs.configuration import from_dict, to_dict
+from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import Place as File
-from infogoal_jax.runs.disk import decode, parse, read_bytes
+from infogoal_jax.runs.disk import decode, decode_value, parse, read_bytes
 from infogoal_jax.runs.folder import RUN, BeingWrittenError, check_new, locked
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped
@@ -229,7 +230,9 @@ def start(config: TrainConfig, plan: Plan, folder: Path) -> None:
     check(config, plan)
     check_new(folder, (*RUN, NAME, PARTS))
     disk.make_folder(folder)
-    disk.write_json(folder / NAME, {"config": to_dict(config), **dataclasses.asdict(plan)}, indent=2)
+    made_with = {"imports": files} if (files := checksums()) else {}
+    values = {"config": to_dict(config), **dataclasses.asdict(plan), **made_with}
+    disk.write_json(folder / NAME, values, indent=2)
 
 
 def read_plan(folder: Path) -> tuple[TrainConfig, Plan]:
@@ -238,7 +241,8 @@ def read_plan(folder: Path) -> tuple[TrainConfig, Plan]:
     values = parse(read_bytes(place, f"resume = {str(folder)!r}: holds no {NAME}"), place)
     if not isinstance(values, dict) or "config" not in values:
         raise place.refusal("config is missing")
-    return from_dict(values["config"], place.within("config")), decode(Plan, values, place)
+    files = decode_value(dict[str, str], values.get("imports", {}), "imports", place)
+    return configuration.made_with(files, values["config"], place), decode(Plan, values, place)
 
 
 def check_same_plan(folder: Path, config: TrainConfig, plan: Plan) -> None:

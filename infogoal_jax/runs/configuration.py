@@ -210,6 +210,18 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
     return from_values(values, place)
 
 
+def made_with(files: dict[str, str], config: Any, place: Place) -> TrainConfig:
+    """The configuration of what was made with these files of `--import`, {name: SHA-256}. Raises `UserError`, naming
+    the file, where it cannot be read and one of them is not imported, or is another now."""
+    imports.check_unchanged(files, str(place.path))
+    try:
+        return from_dict(config, place.within("config"))
+    except UserError as error:
+        if needed := imports.missing(files):
+            raise UserError(f"{place.path}: {needed}") from error
+        raise
+
+
 def from_values(values: Any, place: Place) -> Description:
     """The description that these values are of, in config.json or in the header of a checkpoint."""
     written = decode(Written, values, place)
@@ -217,11 +229,5 @@ def from_values(values: Any, place: Place) -> Description:
         raise place.wrong("seeds", written.seeds, "should be different numbers")
     if min(written.seeds) < 0 or max(written.seeds) >= MOST_SEEDS:
         raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {MOST_SEEDS}")
-    imports.check_unchanged(written.imports, str(place.path))
-    try:
-        config = from_dict(written.config, place.within("config"))
-    except UserError as error:
-        if needed := imports.missing(written.imports):
-            raise UserError(f"{place.path}: {needed}") from error
-        raise
+    config = made_with(written.imports, written.config, place)
     return Description(config, written.seeds, written.data, written.versions, written.device, imports=written.imports)

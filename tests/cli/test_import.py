@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
+from infogoal_jax.runner.parts import Plan, read_plan, start
 from infogoal_jax.runs import tables
 
 TASK = """
@@ -113,6 +115,19 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
     forget()
     my_task.write_text(TASK + "# Changed.")
     assert "made with another 'my_task.py'" in refused("evaluate run --import my_task.py".split(), capsys)
+
+
+def test_a_sweep_says_which_file_it_needs(my_task, capsys):
+    imports.import_file(my_task)
+    plan = Plan([{"learning_rate": 1e-3}], seeds=[0], seeds_at_once=0)
+    config = presets.load("my_rooms", "none")
+    start(config, plan, Path("rates"))
+    assert read_plan(Path("rates")) == (config, plan)
+    forget()
+    line = refused("train --resume rates".split(), capsys)
+    assert "rates/sweep.json: the run was made with my_task.py" in line and "give --import my_task.py" in line
+    my_task.write_text(TASK + "# Changed.")
+    assert "made with another 'my_task.py'" in refused("train --resume rates --import my_task.py".split(), capsys)
 
 
 @pytest.mark.parametrize(
