@@ -79,7 +79,11 @@ def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:
 
     def prepare(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(presets, "load", lambda task, method, **parts: load(task, method, **parts, **fields))
-        patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
+        patch.setattr(
+            infogoal_jax,
+            "make_train",
+            lambda config, callback=None: make_train(config, hand_made.environment(), callback),
+        )
 
     return prepare
 

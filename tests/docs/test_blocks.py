@@ -2,6 +2,7 @@
 its own, as a reader types it, with training so short that nothing is learned. What is not run is named here, and why.
 """
 
+import contextlib
 import re
 import shlex
 import shutil
@@ -80,6 +81,8 @@ NOT_RUN = {
 """Lines, or lines of a page, and why they are not run here."""
 STATUS = {"infogoal methods fetch_push her --agent dqn": 1}
 """What a line says by its exit status: this combination does not work."""
+MINE = "my_task", "my_learner", "my_agent"
+"""Files that a page tells its reader to save a block as."""
 REGISTRIES = envs.registry, presets.registry, agents.registry, learners.registry
 
 
@@ -148,16 +151,27 @@ def write_photos(table: str, name: str) -> None:
         cv2.imwrite(str(path), np.full((64, 64, 3), 40 * number, np.uint8))
 
 
-def play_python(block: str, names: dict) -> None:
-    """Run a block after those before it. The tasks that it registers are forgotten, and lie in my_task.py."""
+@contextlib.contextmanager
+def forgotten() -> Iterator[None]:
+    """What registers tasks and parts, and imports the reader's files, as a process of its own."""
     known = [dict(registry) for registry in REGISTRIES]
-    Path("my_task.py").write_text(block)
     try:
-        exec(compile(here(block), "page", "exec"), names)
+        yield
     finally:
         for registry, before in zip(REGISTRIES, known, strict=True):
             registry.clear()
             registry.update(before)
+        imports.imported.clear()
+        for name in MINE:
+            sys.modules.pop(name, None)
+
+
+def play_python(block: str, names: dict) -> None:
+    """Run a block after those before it. What it registers is forgotten, and lies in the files of the reader."""
+    for name in MINE:
+        Path(f"{name}.py").write_text(block)
+    with forgotten():
+        exec(compile(here(block), "page", "exec"), names)
 
 
 def play_line(line: str) -> None:
@@ -165,13 +179,11 @@ def play_line(line: str) -> None:
     command, *arguments = shlex.split(here(line))
     assert command == "infogoal", line
     arguments = [str(next(Path().glob(word))) if "/*" in word else word for word in arguments]
-    try:
-        status = main(arguments)
-    except SystemExit as stopped:  # After a help.
-        status = stopped.code
-    finally:
-        imports.imported.clear()
-        sys.modules.pop("my_task", None)
+    with forgotten():
+        try:
+            status = main(arguments)
+        except SystemExit as stopped:  # After a help.
+            status = stopped.code
     assert status == STATUS.get(line, 0), line
 
 

@@ -11,6 +11,7 @@ import re
 import runpy
 import sys
 import types
+from pathlib import Path
 
 import hand_made
 import jax
@@ -19,11 +20,11 @@ import nbformat
 import numpy as np
 import optax
 import pytest
-from places import ROOT, block_of, in_hand_made_rooms, lines_of, run
+from places import DOCS, ROOT, block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
 import infogoal_jax.bridges.brax  # Before brax, which then warns of nothing.
-from infogoal_jax import agents, envs, learners, presets
+from infogoal_jax import agents, envs, imports, learners, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.environment import Environment
@@ -71,7 +72,13 @@ def test_a_page_needs_few_lines(page, lines):
 def own_learner() -> dict:
     """The names that the page's script leaves behind, run on the hand-made rooms instead of a house, with nothing else
     changed."""
-    with run(block_of(LEARNER), "mine", learners.registry, prepare=in_hand_made_rooms(**LEARNER_SIZES)) as names:
+    with run(
+        block_of(LEARNER),
+        "mine",
+        learners.registry,
+        prepare=in_hand_made_rooms(**LEARNER_SIZES),
+        name_of_module="__main__",
+    ) as names:
         yield names
 
 
@@ -98,6 +105,30 @@ def test_goals_of_one_room_come_to_lie_together(own_learner):
     assert within.mean() < 0.1 * between.mean()
 
 
+@pytest.mark.parametrize(
+    ("page", "flag", "registry", "field"),
+    [
+        (LEARNER, "--method mine", learners.registry, "--learner.window"),
+        (AGENT, "--agent qr_dqn", agents.registry, "--agent.num-quantiles"),
+    ],
+)
+def test_every_command_knows_a_part_of_a_file(page, flag, registry, field, tmp_path, monkeypatch, capsys):
+    """By the line of its page, which imports the block: nothing is trained by that."""
+    monkeypatch.chdir(tmp_path)
+    (line,) = re.findall(rf"^infogoal (.*--import (\w+\.py) {flag})$", (DOCS / page).read_text(), re.M)
+    (tmp_path / line[1]).write_text(block_of(page))
+    before = dict(registry)
+    try:
+        with pytest.raises(SystemExit):
+            main([*line[0].split(), "--help-all"])
+    finally:
+        registry.clear()
+        registry.update(before)
+        imports.imported.clear()
+        sys.modules.pop(Path(line[1]).stem, None)
+    assert field in capsys.readouterr().out
+
+
 @pytest.mark.long
 def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
     with pytest.raises(infogoal_jax.UserError, match="learner.window"):
@@ -107,7 +138,9 @@ def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
 @pytest.fixture(scope="module")
 def own_agent() -> dict:
     """The same of the agent's page."""
-    with run(block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES)) as names:
+    with run(
+        block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES), name_of_module="__main__"
+    ) as names:
         yield names
 
 
@@ -122,7 +155,9 @@ def test_the_agent_trains_with_infogoal_and_reports_the_spread(own_agent):
 @pytest.mark.long
 def test_the_agent_learns_its_training_goals():
     """Twice as often as a random policy reaches them."""
-    with run(block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES)) as names:
+    with run(
+        block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES), name_of_module="__main__"
+    ) as names:
         env, success = names["train"].env, names["result"].metrics["train_goal/success_rate"][-1]
     chance = evaluate(random_policy(env), env, env.goals.training_goals, LONG_SIZES["evaluation_starts"]).success.mean()
     assert 2 * chance < success > 0.7
