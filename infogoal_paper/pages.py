@@ -20,6 +20,7 @@ them is replaced by what the numbers of the source give. Sources:
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
     jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
     ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl
+    first_hour  what benchmarks/speed/first_steps.py saved, in first_hour.json
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
@@ -296,6 +297,18 @@ def draw_sb3(curves: dict[str, list[Curve]], path: Path) -> None:
     canvas.save(figure, path)
 
 
+def first_hour_table() -> dict[str, str]:
+    """What a newcomer's steps take: seconds, and CPU seconds in brackets, of the steps that both columns have."""
+    saved = json.loads((RESULTS / "first_hour.json").read_text())
+    columns = [saved[name]["seconds"] for name in ("before", "now")]
+    rows = {step: [own[step] for own in columns] for step in columns[1] if step in columns[0]}
+    rows["all of these"] = [np.sum(own, 0) for own in zip(*rows.values(), strict=True)]
+    shown = {step: [f"{seconds:.0f} ({used:.0f})" for seconds, used in own] for step, own in rows.items()}
+    table = markdown_lines(["", "before, s", "now, s"], [[step, *cells] for step, cells in shown.items()])
+    machines = [f"{name.capitalize()}: {saved[name]['machine']}." for name in ("before", "now")]
+    return {"steps": f"{table}\n\n{' '.join(machines)}"}
+
+
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
@@ -309,6 +322,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "continuous": continuous.tables,
     "jaxgcrl": jaxgcrl.tables,
     "ogbench": ogbench.tables,
+    "first_hour": first_hour_table,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 

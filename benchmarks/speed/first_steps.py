@@ -1,16 +1,18 @@
 """A newcomer's hour: what the README, `docs/start/first_run.md` and the guides tell a newcomer to type, one after the
 other in an empty home, with the seconds until each thing that a newcomer wants to see.
 
-    python benchmarks/speed/first_steps.py [--seeds 2] [--checkout FOLDER] [--only own]
+    python benchmarks/speed/first_steps.py [--seeds 2] [--checkout FOLDER] [--only own] [--save now]
 
-Milestones are the first result and picture, the first own run, the first own task, the first comparison and the
-first policy that runs elsewhere. Installation is not part of it. Nothing comes from a cache but what an earlier step
+Milestones are a result and a picture, a run, a task of one's own, a comparison and a policy that runs elsewhere; a step
+without one belongs to the next. Installation is not part of it. Nothing comes from a cache but what an earlier step
 left there. CPU seconds are those of all processes of a step, and hardly change when the machine is busy. --checkout
 plays the hour with the code and the pages of another checkout; a step that its commands cannot do yet is left out.
-What the commands print goes to stderr. Exit status 1 if a step failed.
+What the commands print goes to stderr. --save puts the sums into docs/results/first_hour.json, under `before` or
+`now`; then run `python -m infogoal_paper.pages first_hour`. Exit status 1 if a step failed.
 """
 
 import argparse
+import json
 import os
 import re
 import resource
@@ -26,6 +28,7 @@ from typing import NamedTuple
 from infogoal_jax.report.statistics import describe_machine
 
 ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "docs" / "results" / "first_hour.json"
 GUIDES = ("docs/guides/own_task.md", "docs/own_task.md")
 """The page with a task of one's own, here and in older checkouts."""
 IMPORTS = "infogoal_jax/imports.py"
@@ -71,18 +74,18 @@ def steps_of(seeds: int, own_task: str) -> list[Step]:
     return [
         Step("", 'python -c "import infogoal_jax"', [sys.executable, "-c", "import infogoal_jax"]),
         infogoal("--help"),
-        infogoal("report shipped/object_search", "first result and picture"),
-        infogoal(f"{train} --out infogoal", "first own run"),
-        python("my_task.py", "python my_task.py  # the script of the guide", "first own task", instead=IMPORTS),
+        infogoal("report shipped/object_search", "a result and a picture"),
+        infogoal(f"{train} --out infogoal", "a run of object search"),
+        python("my_task.py", "python my_task.py  # the script of the guide", "a task of one's own", instead=IMPORTS),
         infogoal(
             f"train {own_task} --import my_task.py --method none --num-epochs 20 --seeds {seeds} --out mine",
-            "first own task, with figures",
+            "a task of one's own",
             IMPORTS,
         ),
-        infogoal(f"{train} --method her --out her"),
-        infogoal("compare infogoal her --out success.pdf", "first comparison"),
+        infogoal(f"{train} --method her --out her", "HER"),
+        infogoal("compare infogoal her --out success.pdf", "a comparison"),
         infogoal("export infogoal --out elsewhere/policy.npz"),
-        python("run.py", "python run.py  # NumPy alone", "first policy elsewhere", folder="elsewhere"),
+        python("run.py", "python run.py  # NumPy alone", "a policy elsewhere", folder="elsewhere"),
         infogoal(f"{train} --out again", "the same run, from the cache"),
     ]
 
@@ -123,19 +126,30 @@ def main():
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--checkout", type=Path, default=ROOT, metavar="FOLDER", help="whose code and pages are played")
     parser.add_argument("--only", default="", metavar="WORD", help="the steps alone whose line holds this, for a try")
+    parser.add_argument(
+        "--save", default="", choices=("", "before", "now"), help="the column of docs/research/speed.md"
+    )
     arguments = parser.parse_args()
     checkout = arguments.checkout.resolve()
     print("| typed | seconds | CPU seconds | since the beginning | |\n|---|---|---|---|---|", flush=True)
-    elapsed, failed = 0.0, False
+    elapsed, failed, sums, since = 0.0, False, {}, [0.0, 0.0]
     with tempfile.TemporaryDirectory() as folder:
         steps = steps_of(arguments.seeds, write_files(Path(folder), checkout))
         chosen = [step for step in steps if arguments.only in step.shown]
         for step, seconds, used, status in play(chosen, Path(folder), checkout):
             elapsed, failed = elapsed + seconds, failed or status != 0
             note = f"failed, exit status {status}" if status else step.milestone
+            since = [since[0] + seconds, since[1] + used]
+            if step.milestone:
+                sums[step.milestone], since = [round(each, 1) for each in since], [0.0, 0.0]
             print(f"| `{step.shown}` | {seconds:.1f} | {used:.1f} | {elapsed:.0f} | {note} |", flush=True)
     load = os.getloadavg()[2]
-    print(f"\n{describe_machine()}, load {load:.1f}")  # Only now: it takes the memory of a GPU.
+    machine = f"{describe_machine()}, load {load:.1f}"  # Only now: it takes the memory of a GPU.
+    print(f"\n{machine}")
+    if arguments.save and not failed and not arguments.only:
+        saved = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        saved[arguments.save] = {"machine": machine, "seconds": sums}
+        RESULTS.write_text(json.dumps(saved, indent=1) + "\n")
     sys.exit(1 if failed else 0)
 
 
