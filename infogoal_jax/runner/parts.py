@@ -39,7 +39,7 @@ from infogoal_jax.runs.folder import RUN, BeingWrittenError, check_new, locked
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped
 
-NAME, PARTS = "sweep.json", "parts"
+NAME, PARTS = configuration.SWEEP, "parts"
 
 
 @dataclasses.dataclass(frozen=True)

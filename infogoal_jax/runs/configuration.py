@@ -29,6 +29,8 @@ from infogoal_jax.runs import disk
 from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
 
 NAME = "config.json"
+SWEEP = "sweep.json"
+"""What the folder of a sweep holds in its place."""
 GIVE_A_RUN = "give the folder of a run of `infogoal train`"
 OF_A_SEARCH = "drawn"
 """What the config.json of a search has besides, its trials, and that of a run has not."""
@@ -203,6 +205,9 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
     place, given = Place(folder / NAME), f"{field} = {str(folder)!r}"
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
+    if (folder / SWEEP).exists() and not place.path.exists():
+        own = sorted(path.parent for path in folder.glob(f"*/{NAME}"))
+        raise UserError(f"{given}: is of a sweep; give one of its runs{f', such as {own[0]}' if own else ''}")
     missing = "holds no config.json" if folder.exists() else "there is no such folder"
     values = parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place)
     if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:

@@ -123,6 +123,7 @@ def test_a_sweep_says_which_file_it_needs(my_task, capsys):
     config = presets.load("my_rooms", "none")
     start(config, plan, Path("rates"))
     assert read_plan(Path("rates")) == (config, plan)
+    assert refused("report rates".split(), capsys).endswith("is of a sweep; give one of its runs")
     forget()
     line = refused("train --resume rates".split(), capsys)
     assert "rates/sweep.json: the run was made with my_task.py" in line and "give --import my_task.py" in line
