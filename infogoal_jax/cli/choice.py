@@ -121,6 +121,8 @@ def with_environment(arguments: list[str]) -> list[str]:
         return arguments
     library, _, name = given[0].partition(":")
     remedy = f"give {' or '.join(f'{known}:NAME' for known in LIBRARIES)}"
+    if library == "ogbench":
+        remedy = "it is data without a simulator in JAX: give --env.dataset FILE, or envs.from_recordings(FILE)"
     if len(given) > 1 or library not in LIBRARIES or not name:
         raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, list(LIBRARIES))}".rstrip("."))
     if first_word(rest):

@@ -364,7 +364,8 @@ class Layout:
     def places(self, given: Places, field: str) -> tuple[int, ...]:
         """The places that are meant, each from 0 to below `size`."""
         if isinstance(given, str):
-            require(given in self.keys, field, given, f"the observation has the keys {', '.join(self.keys) or 'none'}")
+            words = f"give one of its keys: {', '.join(self.keys)}" if self.keys else f"give places below {self.size}"
+            require(given in self.keys, field, given, words)
             return self.keys[given]
         remedy = f"give places of the observation, which has {self.size} numbers, or the key of a dictionary"
         require(not isinstance(given, np.ma.MaskedArray), field, "a masked array", remedy)

@@ -40,6 +40,39 @@ DRAWN = 256
 def check_contract(env: Environment) -> None:
     """Raise `UserError`, naming the member and what it has to be, for an environment that breaks the contract."""
     check_members(env)
+    try:
+        check_functions(env)
+    except UserError:
+        if all(getattr(type(env), name, None) is getattr(GoalTask, name) for name in KEPT):
+            check_world(env)  # The same in the words of what its author wrote.
+        raise
+
+
+KEPT = ("reset", "reset_to", "step", "observe", "achieved", "render")
+"""What a `GoalTask` does by the functions of a world, unless its author writes these too."""
+
+
+def check_world(task: GoalTask) -> None:
+    """Raise `UserError` for the first of the functions of a world that returns something else than it has to."""
+    world = checks.traced("env.begin", task.begin, jax.eval_shape(lambda: jax.random.key(0)))
+    action = Spec((), "int32") if task.discrete else Spec((task.action_size,), "float32")
+    checks.same_shapes(checks.traced("env.move", task.move, world, action.struct), world, "env.move", "env.begin")
+    seen = checks.traced("env.observation", task.observation, world)
+    if not is_image_or_vector(seen):
+        raise UserError(f"env.observation: returns {checks.described(seen)}; return float32 [D] or uint8 [H, W, C]")
+    achieved = checks.traced("env.achieved_goal", task.achieved_goal, world)
+    checks.returned(achieved, "env.achieved_goal", Spec(task.goals.shape, task.goals.dtype), "a goal of env.goals")
+
+
+def is_image_or_vector(seen: Any) -> bool:
+    """Whether this is what networks take of one observation."""
+    if not checks.is_array(seen) or 0 in seen.shape:
+        return False
+    return (str(seen.dtype), seen.ndim) in (("uint8", 3), ("float32", 1))
+
+
+def check_functions(env: Environment) -> None:
+    """Raise `UserError` for functions of an environment that break the contract."""
     key = jax.eval_shape(lambda: jax.random.key(0))
     state = checks.traced("env.reset", env.reset, key)
     check_state(env, state)
@@ -140,16 +173,18 @@ def check_goals(env: Environment) -> None:
             return  # What achieves a goal is known to the task alone.
         goals = env.goals.evaluated
         reached = np.asarray(jax.jit(lambda goals: env.reached(goals[:, None], goals[None]))(goals))
-    radius = f" (radius = {env.radius:g})" if hasattr(env, "radius") else ""
+    by_radius = getattr(type(env), "reached", None) is GoalTask.reached
+    radius = f" (radius = {env.radius:g})" if by_radius else ""
+    larger, smaller = ("give a larger radius", "give a smaller radius") if by_radius else ("mend it", "mend it")
     never, always = np.flatnonzero(~np.diagonal(reached)), reached.all()
     if len(never):
         goal = np.asarray(goals)[never[0]].tolist()
-        raise UserError(f"env.reached: is False where the goal {goal} itself is achieved{radius}; give a larger radius")
+        raise UserError(f"env.reached: is False where the goal {goal} itself is achieved{radius}; {larger}")
     require(
         len(goals) < 2 or not always,
         "env.reached",
         "True for every two goals",
-        f"there is nothing to learn{radius}; give a smaller radius",
+        f"there is nothing to learn{radius}; {smaller}",
     )
 
 
@@ -168,11 +203,8 @@ def check_stored(env: Environment, state: Any) -> None:
         checks.returned(observation, "env.observe", Spec((), "int32"), "for env.num_observations is given")
     goal = Spec(env.goals.shape, env.goals.dtype)
     seen = checks.traced("env.render", env.render, observation)
-    image_or_vector = checks.is_array(seen) and (
-        (seen.dtype == jnp.uint8 and seen.ndim == 3) or (seen.dtype == jnp.float32 and seen.ndim == 1)
-    )
     found = checks.described(seen)
-    if not image_or_vector or 0 in seen.shape:
+    if not is_image_or_vector(seen):
         raise UserError(f"env.render: returns {found} of one observation; return uint8 [H, W, C] or float32 [D]")
     checked: list[tuple[str, Callable, tuple, tuple, str]] = [
         ("env.render", env.render, (observation,), seen.shape, str(seen.dtype)),

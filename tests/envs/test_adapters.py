@@ -228,7 +228,7 @@ class Sizeless(Line):
         (wrappers.EpisodeWrapper(Line(), 5, 1), {}, "env = 'EpisodeWrapper': has training wrappers"),
         (wrappers.AutoResetWrapper(Line()), {}, "env = 'AutoResetWrapper': has training wrappers"),
         (Changing(), {}, "env.step: leaf .info['goal'] is float32 [2]"),
-        (Line(), {"goal": "target"}, "goal = 'target': the observation has the keys goal, pair, place, way"),
+        (Line(), {"goal": "target"}, "goal = 'target': give one of its keys: goal, pair, place, way"),
         (Line(), {"goal": [5]}, "goal = [5]: give places of the observation, which has 5 numbers"),
         (Line(), {"goal": []}, "goal = []: give at least one place"),
         (Line(), {"goal": 0.5}, "goal = 0.5: give places"),

@@ -96,7 +96,7 @@ WRONG = {
     "a reset that draws outside": (dict(reset=drawn_outside), "the goal of env.reset = .*lies outside; give 0 to 2"),
     "reached that is never true": (
         dict(reached=lambda self, record, goal: (record > goal).all(-1)),
-        r"env.reached: is False where the goal \[.*\] itself is achieved \(radius = 0.1\)",
+        r"env.reached: is False where the goal \[.*\] itself is achieved; mend it",
     ),
     "reached that is always true": (
         dict(reached=lambda self, record, goal: (record - goal < 9).all(-1)),
@@ -104,16 +104,19 @@ WRONG = {
     ),
     "a function that is not written": (
         dict(achieved_goal=GoalTask.achieved_goal),
-        "env.reset: achieved_goal is not written, and the contract asks for it",
+        "env.achieved_goal: achieved_goal is not written, and the contract asks for it",
     ),
     "whole numbers as observations": (
         dict(observation=lambda self, place: place.astype(jnp.int32)),
-        r"env.render: returns int32 \[2\] of one observation; return uint8",
+        r"env.observation: returns int32 \[2\]; return float32",
     ),
-    "goals of another length": (dict(achieved_goal=lambda self, place: jnp.zeros(3)), "env.*: (raised|is float32)"),
+    "goals of another length": (
+        dict(achieved_goal=lambda self, place: jnp.zeros(3)),
+        r"env.achieved_goal: is float32 \[3\]; give float32 \[2\]",
+    ),
     "a world of another shape": (
         dict(move=lambda self, place, action: jnp.zeros(3)),
-        "env.step: raised|the state of env.step",
+        r"env.move: .*float32 \[3\].*float32 \[2\] in env.begin",
     ),
 }
 
