@@ -117,7 +117,7 @@ def score_table(scores: dict[str, np.ndarray]) -> Table:
 def number_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """Rows below their titles, without columns that are empty. Titles are broken where the terminal is narrow, numbers
     never."""
-    table = Table()
+    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     columns = [column for column in zip(titles, zip(*rows, strict=True), strict=True) if any(column[1])]
     for title, cells in columns:
         table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))

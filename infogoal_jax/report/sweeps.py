@@ -13,7 +13,7 @@ from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.report.summary import number_table, print_run
+from infogoal_jax.report.summary import number_table, print_run, say
 from infogoal_jax.runner.executors import Outcome, run_here
 from infogoal_jax.runner.parts import Plan, run_parts, settings_of
 from infogoal_jax.runner.training import checked_seeds
@@ -109,8 +109,8 @@ def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> Non
     console.print(number_table(titles, rows), crop=False)
     seeds = f"{len(plan.seeds)} seeds" if len(plan.seeds) > 1 else "1 seed"
     if any(cells for row in rows for cells in row[len(names) : -1]):
-        console.print(f"success at the last evaluation, mean and 95 % interval over {seeds}", soft_wrap=True)
-    console.print(f"runs        {folder}/SETTING, each a run for evaluate, report and compare", soft_wrap=True)
+        say(console, f"success at the last evaluation, mean and 95 % interval over {seeds}")
+    say(console, f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
 
 
 def draw_sweep(folder: Path, plan: Plan) -> list[Path]:

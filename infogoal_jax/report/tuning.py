@@ -10,7 +10,7 @@ from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
-from infogoal_jax.report.summary import number_table
+from infogoal_jax.report.summary import number_table, say
 from infogoal_jax.runner.progress import progress_line
 from infogoal_jax.runner.search import Watch
 from infogoal_jax.runs.search import TuneResult, write_scores
@@ -29,9 +29,7 @@ def watching(config: TrainConfig, trials: int, seeds: int, folder: Path, command
 
         def evaluated(result: TuneResult) -> None:
             write_scores(folder, result)
-            best = result.best
-            numbers = f"best now {best.score:.2f} (trial {best.trial}), preset {result.trials[0].score:.2f}"
-            line.advance(result.epochs[-1], numbers)
+            line.advance(result.epochs[-1], f"best {result.best.score:.2f}, preset {result.trials[0].score:.2f}")
 
         yield Watch(folder, command, line.compiling, evaluated)
 
@@ -50,15 +48,12 @@ def print_result(result: TuneResult) -> None:
     console.print(number_table(("trial", "success", *result.fields), rows), crop=False)
     first, *more = result.seeds
     seeds = f"mean of {len(result.seeds)} seeds ({first} to {more[-1]})" if more else f"seed {first}"
-    lines = [
-        f"scores      success on {GROUPS[result.group]}, {seeds}, after epoch {result.epochs[-1]}",
-        f"data        {result.about.data}",
-        f"time        {result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running",
-        f"best        {result.command}",
-    ]
+    say(console, f"success on {GROUPS[result.group]}, {seeds}, after epoch {result.epochs[-1]}", "scores")
+    say(console, result.about.data, "data")
+    say(console, f"{result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running", "time")
+    # Not broken between words: it is copied.
+    console.print(f"best        {result.command}", highlight=False, markup=False, soft_wrap=True)
     space = search_space(result.config.hyper)
     floored = [field for field, value in result.best.values.items() if space[field].is_at_floor(value)]
     if floored:
-        lines.append(f"floor       at the lower end of its range: {', '.join(floored)}; below it the term would be off")
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        say(console, f"at the lower end of its range: {', '.join(floored)}; below it the term would be off", "floor")

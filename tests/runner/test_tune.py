@@ -281,7 +281,7 @@ def test_the_score_shown_is_that_of_the_trial_that_is_best_now(tmp_path, capsys)
         for successes in ([[0.25], [0.5]], [[0.25, 0.35], [0.5, 0.0]]):
             watch.evaluated(made(small(), successes))
     printed = capsys.readouterr().out
-    assert "best now 0.50 (trial 1), preset 0.25" in printed and "best now 0.35 (trial 0), preset 0.35" in printed
+    assert "best 0.50, preset 0.25" in printed and "best 0.35, preset 0.35" in printed
     assert not any("test" in (tmp_path / name).read_text() for name in ("trials.jsonl", "best.json"))
 
 
