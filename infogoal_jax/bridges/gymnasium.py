@@ -145,6 +145,12 @@ def move(env: Environment, state: Any, action: jax.Array) -> tuple[Any, dict[str
 
 
 @jax.jit
+def drawn(env: Environment, state: Any) -> jax.Array:
+    """The picture that a task draws of a state."""
+    return env.draw(state)
+
+
+@jax.jit
 def start_all(env: Environment, keys: jax.Array, goals: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
     """`start` for a batch."""
     return jax.vmap(start, in_axes=(None, 0, 0))(env, keys, goals)
@@ -288,13 +294,16 @@ def default_length(task: str | Environment) -> int:
 
 
 def picture(env: Environment, state: Any, image: np.ndarray) -> np.ndarray:
-    """The scene of a Fetch task, or what the agent sees as RGB, uint8 [H, W, 3]. Raises `UserError` where it sees no
-    image."""
+    """The scene of a Fetch task, what a task draws itself, or what the agent sees as RGB, uint8 [H, W, 3]. Raises
+    `UserError` where it sees no image."""
     if isinstance(env, Fetch):
         from infogoal_jax.envs.fetch.scene import draw_fetch
 
         return draw_fetch(env, state)
-    require(image.dtype == np.uint8, "render_mode", "rgb_array", "the agent sees no images in this task; leave it out")
+    if getattr(type(env), "draw", Environment.draw) is not Environment.draw:
+        return np.array(drawn(env, state))
+    remedy = "the agent sees no images in this task; write draw(state), or leave it out"
+    require(image.dtype == np.uint8, "render_mode", "rgb_array", remedy)
     return np.array(np.broadcast_to(image, (*image.shape[:2], 3)))
 
 

@@ -33,6 +33,14 @@ def test_gymnasium_finds_nothing_to_warn_of_but_open_spaces():
     assert env.observation_space["desired_goal"].high.tolist() == [3, 3]
 
 
+def test_a_task_that_draws_itself_is_rendered():
+    maze = bridge.make("point_maze", CONFIG, render_mode="rgb_array")
+    maze.reset(seed=0, options={"goal": [0.5, 0.5]})
+    picture = maze.render()
+    maze.reset(seed=0, options={"goal": [1.5, 1.5]})
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3 and not np.array_equal(picture, maze.render())
+
+
 def test_every_task_with_continuous_goals_is_registered():
     for task in ("point_maze", "reacher", *(f"fetch_{name}_positions" for name in ("reach", "push", "slide"))):
         spec = gymnasium.spec(bridge.IDS[task])
