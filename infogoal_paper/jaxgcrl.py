@@ -71,7 +71,9 @@ class Outcome:
 
 def joined(outcomes: list[Outcome]) -> Outcome:
     """Seeds that ran one after the other as one outcome, as far as the shortest of them went: seconds are the mean of a
-    seed."""
+    seed. Of runs that were evaluated at other steps those count that went furthest."""
+    furthest = max(outcomes, key=lambda each: each.steps[-1])
+    outcomes = [each for each in outcomes if each.steps[0] == furthest.steps[0]]
     first, count = outcomes[0], min(len(each.steps) for each in outcomes)
     return dataclasses.replace(
         first,
@@ -84,13 +86,20 @@ def joined(outcomes: list[Outcome]) -> Outcome:
 
 
 def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
-    """The outcome with the median seconds of a round of the same program that ran alone, where it did."""
+    """The outcome with the seconds a step of the same program that ran alone, where it did: the median of its
+    rounds."""
     found = [each for each in alone if each.program() == outcome.program()]
     if not found:
         return outcome
-    rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) for each in found])
-    seconds = float(np.median(rounds)) * np.arange(1, len(outcome.steps) + 1)
+    rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) / learnt_in(each) for each in found])
+    seconds = float(np.median(rounds)) * np.cumsum(learnt_in(outcome))
     return dataclasses.replace(outcome, seconds=seconds.tolist(), machine=found[0].machine)
+
+
+def learnt_in(outcome: Outcome) -> np.ndarray:
+    """Environment steps of each round [evaluations]; the first, which may have a prefill, is as long as the second."""
+    later = np.diff(outcome.steps)
+    return np.concatenate([later[:1] if len(later) else outcome.steps, later])
 
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
