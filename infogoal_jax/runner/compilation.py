@@ -29,9 +29,13 @@ search makes 1.7 times the updates (H200, jax 0.11.2, 2026-11-28)."""
 QUICKLY: dict[str, dict[str, int | bool]] = {"cpu": {"xla_cpu_use_fusion_emitters": False}}
 """Options beside `OPTIONS` for programs that run for seconds only. On two cores FetchReach and object search at toy
 size compile in two thirds of the time; object search at full size runs a twentieth slower (jax 0.10.2, 2026-11-27)."""
-QUICKEST: dict[str, int | bool] = {"xla_backend_optimization_level": 0} | QUICKLY["cpu"]
+QUICKEST: dict[str, int | bool] = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,
+} | QUICKLY["cpu"]
 """For programs that a CPU runs for less than a second, as most of those that the tests run. They are compiled four
-times as fast; half of that is the second option, which jax 0.10 has and jax 0.11 has not."""
+times as fast; half of that is the option of `QUICKLY`, which jax 0.10 has and jax 0.11 has not. A program in one piece
+takes a sixth less work than in pieces for several cores."""
 short_runs: ContextVar[bool] = ContextVar("short_runs", default=False)
 
 

@@ -11,7 +11,7 @@ machine:
     PYTHONPATH=tests python tests/train/test_every_method.py record FILE [TASK ...]     # before the change
     PYTHONPATH=tests python tests/train/test_every_method.py compare FILE [TASK ...]    # after it
 
-Recorded programs are compiled with `OPTIONS`, whatever XLA_FLAGS say: other options round differently, and where XLA
+Recorded programs are compiled with `QUICKEST`, whatever XLA_FLAGS say: other options round differently, and where XLA
 compiles a program in several pieces, a change in one place of it can move the rounding of another by a bit.
 """
 
@@ -184,7 +184,6 @@ TOUCHED = COLLECTED | {"rollout_steps": 5}
 """What is collected in an epoch, and where a robot touches things: contacts make much of a rounding, step by step. With
 other options of the compiler, in place of other machines, PickAndPlace's first epoch of 25 steps differed by 40 %, that
 of 10 by 0.3 %, that of 5 by 0.07 % at most."""
-OPTIONS = QUICKEST | {"xla_cpu_parallel_codegen_split_count": 1}
 TOUCHING = ("fetch_push", "fetch_pick_and_place")
 """Tasks in which a robot touches things."""
 EXPENSIVE, THEIR_METHODS = ("object_manipulation", *TOUCHING), ("infogoal", "her")
@@ -202,7 +201,7 @@ def small_config(task: str, method: str):
 def numbers(task: str, method: str) -> dict[str, list[float]]:
     """The metrics of both epochs and of the evaluation."""
     train = make_train(small_config(task, method))
-    result = jax.jit(train, compiler_options=known(OPTIONS))(jax.random.key(0), None, train.env)
+    result = jax.jit(train, compiler_options=known(QUICKEST))(jax.random.key(0), None, train.env)
     values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
     return {
         name: np.ravel(np.asarray(value, np.float64)).tolist()
