@@ -135,6 +135,8 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
                 name = f"{path.stem}_{cell['id']}.{kind.removeprefix('image/')}"
                 pictures[name] = base64.b64decode("".join(data[kind]))
                 parts.append(f"![{cell['id']}]({name})")
+            elif "text/html" in data:  # Without an empty line, which would end it in Markdown.
+                parts.append(re.sub(r"\n\s*\n", "\n", "".join(data["text/html"])))
             else:
                 parts.append(fenced("".join(output.get("text") or data.get("text/plain", "")), "text"))
     return "\n\n".join(parts), pictures

@@ -55,6 +55,7 @@ DRAWS = {
     "seed_sweeps": ("curves", "pairs", "enough"),
     "your_own": ("task-figure", "compare", "dataset", "dataset-train"),
     "your_robot": ("curve", "goals"),
+    "click": ("curve", "places"),
 }
 """The cells of each notebook that end in a picture."""
 PICTURES = ("image/png", "image/gif")
