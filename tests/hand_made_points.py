@@ -164,7 +164,7 @@ def config(method: str = "infogoal", **changes) -> TrainConfig:
 def random_params(train: Train) -> dict:
     """Parameters of the sizes that this program's have, drawn at random: compiling the real initialisation takes ten
     seconds."""
-    shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env).params
+    shapes = train.state_shapes.params
     generator = np.random.default_rng(0)
     return jax.tree.map(
         lambda leaf: jnp.asarray(generator.normal(0, 1 / np.sqrt(leaf.shape[-2:][0]), leaf.shape), leaf.dtype), shapes

@@ -174,8 +174,7 @@ def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, fl
     after_lower = time.perf_counter()
     finish()
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)
-    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    return operations(jax.make_jaxpr(train.chunk)(state, numbers, config.hyper, train.env)), *seconds
+    return operations(jax.make_jaxpr(train.chunk)(train.state_shapes, numbers, config.hyper, train.env)), *seconds
 
 
 def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:

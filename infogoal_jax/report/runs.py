@@ -100,11 +100,7 @@ def load_run(folder: str | Path, **moved: str) -> Run:
 def read_params(run: Run, train: Train) -> dict[str, Any]:
     """Parameters of all seeds, {"goal", "state", "agent"} with leaves [seeds, ...]. Raises `UserError` for a damaged or
     missing file."""
-
-    def initial(seed):
-        return train.initial(jax.random.key(seed), run.config.hyper, train.env).params
-
-    shapes = jax.eval_shape(jax.vmap(initial), jax.ShapeDtypeStruct((len(run.seeds),), np.uint32))
+    shapes = checks.with_axes(train.state_shapes.params, (len(run.seeds),))
     return checkpoint.load(run.folder / "policy", shapes)[1]
 
 

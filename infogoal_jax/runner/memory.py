@@ -59,7 +59,7 @@ def mesh_memory(mesh: jax.sharding.Mesh) -> int:
 
 def state_bytes(train: Train) -> int:
     """Bytes that training carries for one seed."""
-    return bytes_of(jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env))
+    return bytes_of(train.state_shapes)
 
 
 def working_bytes(train: Train) -> int:

@@ -12,6 +12,7 @@ names.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -88,6 +89,11 @@ class Train:
         state, (epoch_metrics, metrics) = jax.lax.scan(step, self.initial(key, hyper, env), epochs)
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), epoch_metrics)
         return TrainResult(metrics=metrics, epochs=flat, params=state.params, state=state)
+
+    @functools.cached_property
+    def state_shapes(self) -> TrainState:
+        """Shapes and types of the state of one seed, for which `initial` is traced once."""
+        return jax.eval_shape(self.initial, jax.random.key(0), self.config.hyper, self.env)
 
     def setup(self, hyper: Hyperparameters | None = None, env: Any = None) -> Setup:
         """What the functions of the program are given, with these hyperparameters and environment or its own."""

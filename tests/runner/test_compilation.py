@@ -149,7 +149,7 @@ def test_training_programs_stay_small(task, most):
     compiles it takes time in proportion; FetchPickAndPlace once had 81,663."""
     config = hand_made.config() if task == "rooms" else presets.load(task)
     train = make_train(config, hand_made.environment() if task == "rooms" else None)
-    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
+    state = train.state_shapes
     assert (
         operations(
             jax.make_jaxpr(train.chunk)(state, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)

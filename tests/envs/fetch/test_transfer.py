@@ -26,7 +26,7 @@ def test_intervals_of_a_share_are_wilsons(successes, episodes):
 
 def test_a_policy_of_another_task_is_refused(tmp_path, monkeypatch, capsys):
     train = make_train(presets.load("point_maze", "none"), envs.load("point_maze"))
-    params = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env).params
+    params = train.state_shapes.params
     zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), params)
     export.export_params(train, zeros, tmp_path / "policy.npz", {})
     monkeypatch.setattr(sys, "argv", ["fetch_transfer", str(tmp_path / "policy.npz")])
