@@ -488,19 +488,17 @@ RULES = {
 """Columns of differences: the rule, and the codes."""
 
 
-def difference_table(
-    numbers: Numbers, tasks: Sequence[str], pairs: Sequence[tuple[str, str]], rules: Sequence[str] = tuple(RULES)
-) -> str:
-    """A row for each task, kind of goals and pair of methods: the difference by each of these of `RULES`."""
+def difference_table(numbers: Numbers, tasks: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
+    """A row for each task, kind of goals and pair of methods: the difference by each of `RULES`."""
     rows = []
     for task, kind, pair in itertools.product(tasks, ("test", "corrupted_test"), pairs):
         if not all(numbers.has(task, method) for method in pair):
             continue
-        found = [difference(numbers, task, pair, kind, *RULES[rule]) for rule in rules]
+        found = [difference(numbers, task, pair, kind, *rule) for rule in RULES.values()]
         if None not in found:
             named = " - ".join(methods_of(task)[method].replace(" + ", "+") for method in pair)
             rows.append([goals_of(task, kind), named, *map(signed, found)])
-    return markdown_lines(["test goals of", "difference", *rules], rows)
+    return markdown_lines(["test goals of", "difference", *RULES], rows)
 
 
 FLOOR = "0.40"
@@ -687,8 +685,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if ran & READ.keys():
         beside |= {"readings": readings_table(numbers)}
     if ran & set(HELD_OUT_FETCH):
-        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[1:3], ("each at its own best",)
-        beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
+        beside |= {"carries_fetch": carries_on_fetch(numbers)}
     if UNSEEN_FETCH in ran:
         beside |= {"unseen": difference_table(numbers, [UNSEEN_FETCH], UNSEEN_PAIRS)}
     searches = tuning.load(tuning.NUMBERS)
