@@ -165,7 +165,7 @@ def test_the_benchmark_runs_at_toy_size(of_ogbench, tmp_path):
     words += ["--held-out", 1, "--goal-noise", 1, "--sides", *sides]
     table = peer(*words).stdout
     assert "| none | " in table and "atch 8, layers (16, 16)" in table
-    last = ogbench.read([results])["pointmaze-medium", "ours", "gciql", "none", (0, 1), 1]
+    last = ogbench.read([results])[ogbench.FIRST, "ours", "gciql", "none", (0, 1), 1]
     assert last.updates == [4, 8] and np.shape(last.success) == np.shape(last.noisy) == (2, 2, len(last.success[0][0]))
     before = results.read_text()
     assert peer(*words).stdout == table and results.read_text() == before
