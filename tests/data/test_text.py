@@ -31,7 +31,7 @@ def test_shipped_embeddings_have_every_object_of_the_dataset():
     assert vectors.shape == (34, text.EMBEDDING_SIZE) and vectors.dtype == np.float32
     assert len(np.unique(vectors, axis=0)) == 34
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1.0, atol=1e-6)
-    assert embeddings.weights_sha256 == sentence_encoder.WEIGHTS_SHA256
+    assert embeddings.weights_sha256 == sentence_encoder.OFFICIAL["model.safetensors"]
     assert embeddings.model == sentence_encoder.MODEL
 
 

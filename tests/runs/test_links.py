@@ -120,7 +120,7 @@ def test_what_looks_abandoned_and_is_a_link_stays(run, outside):
 def test_figures_are_not_drawn_through_a_link(run, outside, monkeypatch):
     put(link, run / "figures", outside)
     monkeypatch.setattr(figures, "learning_curves", None)
-    train = SimpleNamespace(env=SimpleNamespace(goals=SimpleNamespace(finite=True)))
+    train = SimpleNamespace(env=SimpleNamespace(goals=SimpleNamespace(finite=True), simulated=True))
     subject = SimpleNamespace(evaluations=SimpleNamespace(values={"a": 1}), train=train)
     for name in ("beta_and_accuracy", "success_by_length", "success_by_goal", "representations", "learning_curves"):
         monkeypatch.setattr(figures, name, type(name, (), {"__new__": lambda kind, subject: None}))
