@@ -131,6 +131,24 @@ def as_from_a_terminal():
 
 
 @pytest.fixture(autouse=True, scope="module")
+def nothing_of_other_files():
+    """What a file registers or imports, other files do not know: which of them share a process changes."""
+    from places import forgotten
+
+    with forgotten():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def nothing_of_other_tests():
+    """What a test registers or imports, the next one does not know."""
+    from places import forgotten
+
+    with forgotten():
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
 def few_programs():
     """Forget compiled programs between files when they are many; what is needed again is compiled again."""
     yield

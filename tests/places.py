@@ -3,6 +3,7 @@ printed, and figures that show something."""
 
 import io
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,23 @@ from matplotlib.image import imread
 from rich.console import Console
 
 import infogoal_jax
-from infogoal_jax import presets
+from infogoal_jax import agents, envs, exploration, imports, learners, presets, relabelling
 from infogoal_jax.loading import make_train
+from infogoal_jax.report import task_figures
 
 TESTS = Path(__file__).parent
 FIXTURES = TESTS / "fixtures"
 ROOT = TESTS.parent
 DOCS = ROOT / "docs"
+REGISTRIES = (
+    envs.registry,
+    presets.registry,
+    agents.registry,
+    learners.registry,
+    relabelling.registry,
+    exploration.registry,
+    task_figures.registry,
+)
 
 
 def recorded(method: str) -> dict[str, np.ndarray]:
@@ -49,28 +60,38 @@ def lines_of(block: str) -> int:
 
 
 @contextmanager
+def forgotten() -> Iterator[None]:
+    """What registers tasks and parts, and imports a user's files, as a process of its own."""
+    before = [dict(registry) for registry in REGISTRIES]
+    files = dict(imports.imported)
+    try:
+        yield
+    finally:
+        for registry, known in zip(REGISTRIES, before, strict=True):
+            if dict(registry) != known:
+                registry.clear()
+                registry.update(known)
+        for name in imports.imported.keys() - files.keys():
+            sys.modules.pop(Path(name).stem, None)
+        imports.imported.clear()
+        imports.imported.update(files)
+
+
+@contextmanager
 def run(
-    block: str,
-    name: str,
-    *registries: dict,
-    prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None,
-    name_of_module: str = "page",
+    block: str, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None, name_of_module: str = "page"
 ) -> Iterator[dict]:
-    """The names that the block leaves behind, for as long as what it registers under this name is there.
+    """The names that the block leaves behind, for as long as what it registers is there.
 
     prepare: sets what is other than it is for a user, while the block runs. name_of_module: `__main__` for what a
     script does on its own.
     """
-    names, before = {"__name__": name_of_module}, [dict(registry) for registry in registries]
-    try:
+    names = {"__name__": name_of_module}
+    with forgotten():
         with pytest.MonkeyPatch.context() as patch:
             prepare(patch)
             exec(compile(block, "page", "exec"), names)
         yield names
-    finally:
-        for registry, known in zip(registries, before, strict=True):
-            registry.pop(name, None)
-            registry.update(known)
 
 
 def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:

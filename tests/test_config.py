@@ -292,17 +292,9 @@ def test_a_record_in_the_place_of_a_number_is_refused(field):
 GOOD = dict(agent="td3", training={}, hyper={}, methods={})
 
 
-@pytest.fixture
-def no_preset():
-    """Nobody knows the preset afterwards."""
-    yield
-    presets.registry.pop("point_maze_2", None)
-    envs.registry.pop("point_maze_2", None)
-
-
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(presets.Preset)])
 @pytest.mark.parametrize("value", [None, 3, ["td3"], b"x", {1: 2}, CONFIG.agent], ids=str)
-def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value, no_preset):
+def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value):
     with pytest.raises(UserError, match=f"preset of point_maze_2: {field} = "):
         presets.registry["point_maze_2"] = presets.Preset(**GOOD | {field: value})
     assert "point_maze_2" not in presets.registry
@@ -324,7 +316,7 @@ def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value,
         (dict(methods={"her": Changes(relabelling={"nope": 1})}), r"in methods\['her'\]"),
     ],
 )
-def test_a_name_in_a_preset_that_nothing_has_is_refused(changes, said, no_preset):
+def test_a_name_in_a_preset_that_nothing_has_is_refused(changes, said):
     envs.registry["point_maze_2"] = envs.registry["point_maze"]
     presets.registry["point_maze_2"] = presets.Preset(**GOOD)
     presets.load("point_maze_2")

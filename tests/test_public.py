@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from places import ROOT
+from places import ROOT, forgotten
 
 import infogoal_jax
 from infogoal_jax import (
@@ -203,14 +203,10 @@ def still(observation, goal, key):
     return jnp.zeros((*observation.shape[:1], 2), jnp.float32)
 
 
-def registered(name, register):
+def registered(register):
     """What a task's registration returns; afterwards nobody knows the task."""
-    try:
+    with forgotten():
         return register()
-    finally:
-        for registry in (envs.registry, presets.registry):
-            if isinstance(name, str) and name not in KNOWN:
-                registry.pop(name, None)
 
 
 def a_word(value) -> bool:
@@ -295,7 +291,6 @@ def stepped(actions):
 LINE = Line()
 RECORDED = {"observations": np.zeros((3, 4)), "actions": np.zeros((3, 2)), "terminals": [0, 0, 1]}
 MAZE = envs.load("point_maze", PlaneConfig(held_out=False))
-KNOWN = {*envs.registry}
 SQUARES = np.zeros((2, 2), np.uint8)
 """Two goals of the maze, as one of `ARRAYS` has them."""
 ROOMS = gymnasium.TaskGymnasium(ENV)
@@ -596,7 +591,7 @@ CALLS = {
         },
     ),
     "presets.register": Call(
-        lambda name, env, preset: registered(name, lambda: presets.register(name, env, preset)),
+        lambda name, env, preset: registered(lambda: presets.register(name, env, preset)),
         {"name": "mine", "env": MAZE, "preset": None},
         {
             "name": lambda value: isinstance(value, str) and bool(re.fullmatch(r"[^\W_][\w.-]*", value)),
@@ -605,7 +600,7 @@ CALLS = {
         },
     ),
     "Preset": Call(
-        lambda **fields: registered("mine", lambda: presets.registry.update(mine=presets.Preset(**fields))),
+        lambda **fields: registered(lambda: presets.registry.update(mine=presets.Preset(**fields))),
         {"agent": "td3", "training": {}, "hyper": {}, "methods": {}, "env": {}, "agents": {}, "description": ""},
         {
             "agent": a_word,

@@ -58,11 +58,10 @@ presets.registry["my_rooms"] = presets.Preset(
 
 @pytest.fixture
 def my_task(tmp_path, monkeypatch):
-    """A file that registers a task; afterwards nobody knows it."""
+    """A file that registers a task."""
     (tmp_path / "my_task.py").write_text(TASK)
     monkeypatch.chdir(tmp_path)
-    yield tmp_path / "my_task.py"
-    forget()
+    return tmp_path / "my_task.py"
 
 
 def forget():
@@ -241,9 +240,5 @@ def test_a_file_that_was_changed_is_sent_to_nobody(my_task):
 def test_the_configuration_of_a_registered_task_is_found_by_another_process():
     """By the name of its class, which a process that has registered the task has too, as a worker of Ray."""
     presets.register("a_maze", envs.load("point_maze"))
-    try:
-        config = envs.registry["a_maze"].config(radius=0.2)
-        assert pickle.loads(pickle.dumps(config)) == config
-    finally:
-        for registry in (envs.registry, presets.registry):
-            registry.pop("a_maze", None)
+    config = envs.registry["a_maze"].config(radius=0.2)
+    assert pickle.loads(pickle.dumps(config)) == config

@@ -2,11 +2,9 @@
 its own, as a reader types it, with training so short that nothing is learned. What is not run is named here, and why.
 """
 
-import contextlib
 import re
 import shlex
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 import words
-from places import ROOT
+from places import ROOT, forgotten
 
 import infogoal_jax.bridges.brax  # noqa: F401  Before brax, which then warns of nothing.
-from infogoal_jax import agents, envs, imports, learners, presets
+from infogoal_jax import presets
 from infogoal_jax.cli.main import main
 
 PAGES = {words.README.name: words.README} | {page.name: page for page in words.pages("start", "guides")}
@@ -83,7 +81,6 @@ STATUS = {"infogoal methods fetch_push her --agent dqn": 1}
 """What a line says by its exit status: this combination does not work."""
 MINE = "my_task", "my_learner", "my_agent"
 """Files that a page tells its reader to save a block as."""
-REGISTRIES = envs.registry, presets.registry, agents.registry, learners.registry
 
 
 def blocks_of(page: Path) -> list[tuple[str, str]]:
@@ -149,21 +146,6 @@ def write_photos(table: str, name: str) -> None:
         path = Path("photos", row.split(",")[0])
         path.parent.mkdir(exist_ok=True)
         cv2.imwrite(str(path), np.full((64, 64, 3), 40 * number, np.uint8))
-
-
-@contextlib.contextmanager
-def forgotten() -> Iterator[None]:
-    """What registers tasks and parts, and imports the reader's files, as a process of its own."""
-    known = [dict(registry) for registry in REGISTRIES]
-    try:
-        yield
-    finally:
-        for registry, before in zip(REGISTRIES, known, strict=True):
-            registry.clear()
-            registry.update(before)
-        imports.imported.clear()
-        for name in MINE:
-            sys.modules.pop(name, None)
 
 
 def play_python(block: str, names: dict) -> None:

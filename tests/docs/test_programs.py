@@ -11,7 +11,6 @@ import re
 import runpy
 import sys
 import types
-from pathlib import Path
 
 import hand_made
 import jax
@@ -24,7 +23,7 @@ from places import DOCS, ROOT, block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
 import infogoal_jax.bridges.brax  # Before brax, which then warns of nothing.
-from infogoal_jax import agents, envs, imports, learners, presets
+from infogoal_jax import envs, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.environment import Environment
@@ -46,9 +45,6 @@ LONG_SIZES = {
     "evaluation_starts": 20,
 }
 QUANTILES = 8
-TIP = "tip", envs.registry, presets.registry
-TWO_ROOMS = "two_rooms", envs.registry, presets.registry
-WALLED_SQUARE = "walled_square", envs.registry, presets.registry
 DRAWS = {
     "quickstart": ("env", "curves", "codes", "path", "sweep"),
     "fetch_image_goals": ("curves", "goals", "corrupt", "video"),
@@ -73,13 +69,7 @@ def test_a_page_needs_few_lines(page, lines):
 def own_learner() -> dict:
     """The names that the page's script leaves behind, run on the hand-made rooms instead of a house, with nothing else
     changed."""
-    with run(
-        block_of(LEARNER),
-        "mine",
-        learners.registry,
-        prepare=in_hand_made_rooms(**LEARNER_SIZES),
-        name_of_module="__main__",
-    ) as names:
+    with run(block_of(LEARNER), prepare=in_hand_made_rooms(**LEARNER_SIZES), name_of_module="__main__") as names:
         yield names
 
 
@@ -107,26 +97,16 @@ def test_goals_of_one_room_come_to_lie_together(own_learner):
 
 
 @pytest.mark.parametrize(
-    ("page", "flag", "registry", "field"),
-    [
-        (LEARNER, "--method mine", learners.registry, "--learner.window"),
-        (AGENT, "--agent qr_dqn", agents.registry, "--agent.num-quantiles"),
-    ],
+    ("page", "flag", "field"),
+    [(LEARNER, "--method mine", "--learner.window"), (AGENT, "--agent qr_dqn", "--agent.num-quantiles")],
 )
-def test_every_command_knows_a_part_of_a_file(page, flag, registry, field, tmp_path, monkeypatch, capsys):
+def test_every_command_knows_a_part_of_a_file(page, flag, field, tmp_path, monkeypatch, capsys):
     """By the line of its page, which imports the block: nothing is trained by that."""
     monkeypatch.chdir(tmp_path)
     (line,) = re.findall(rf"^infogoal (.*--import (\w+\.py) {flag})$", (DOCS / page).read_text(), re.M)
     (tmp_path / line[1]).write_text(block_of(page))
-    before = dict(registry)
-    try:
-        with pytest.raises(SystemExit):
-            main([*line[0].split(), "--help-all"])
-    finally:
-        registry.clear()
-        registry.update(before)
-        imports.imported.clear()
-        sys.modules.pop(Path(line[1]).stem, None)
+    with pytest.raises(SystemExit):
+        main([*line[0].split(), "--help-all"])
     assert field in capsys.readouterr().out
 
 
@@ -139,9 +119,7 @@ def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
 @pytest.fixture(scope="module")
 def own_agent() -> dict:
     """The same of the agent's page."""
-    with run(
-        block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES), name_of_module="__main__"
-    ) as names:
+    with run(block_of(AGENT), prepare=in_hand_made_rooms(**AGENT_SIZES), name_of_module="__main__") as names:
         yield names
 
 
@@ -156,9 +134,7 @@ def test_the_agent_trains_with_infogoal_and_reports_the_spread(own_agent):
 @pytest.mark.long
 def test_the_agent_learns_its_training_goals():
     """Twice as often as a random policy reaches them."""
-    with run(
-        block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES), name_of_module="__main__"
-    ) as names:
+    with run(block_of(AGENT), prepare=in_hand_made_rooms(**LONG_SIZES), name_of_module="__main__") as names:
         env, success = names["train"].env, names["result"].metrics["train_goal/success_rate"][-1]
     chance = evaluate(random_policy(env), env, env.goals.training_goals, LONG_SIZES["evaluation_starts"]).success.mean()
     assert 2 * chance < success > 0.7
@@ -212,7 +188,7 @@ def test_settings_of_the_agent_that_make_no_sense_are_refused(own_agent):
 def test_the_task_is_learned():
     """Every line of the page is run; goals that were never desired in training are reached three times as often as by a
     random policy. How often depends on the seed."""
-    with run(block_of(TASK), *TWO_ROOMS, name_of_module="__main__") as names:
+    with run(block_of(TASK), name_of_module="__main__") as names:
         metrics, env = names["result"].metrics, names["train"].env
     held_out = env.goals.evaluated[env.goals.uses == 2]
     chance = evaluate(random_policy(env), env, held_out, 10).success.mean()
@@ -221,7 +197,7 @@ def test_the_task_is_learned():
 
 def test_every_command_knows_the_task_and_its_defaults():
     """The configuration of the page has the radius that it gives, and the rest by default."""
-    with run(block_of(TASK), *TWO_ROOMS):
+    with run(block_of(TASK)):
         config = presets.load("two_rooms", "infogoal")
         env = envs.load("two_rooms", dataclasses.replace(config.env, radius=0.3))
         printed = io.StringIO()
@@ -232,7 +208,7 @@ def test_every_command_knows_the_task_and_its_defaults():
 
 
 def test_nobody_walks_through_the_wall_of_the_two_rooms():
-    with run(block_of(TASK), *TWO_ROOMS):
+    with run(block_of(TASK)):
         env = envs.load("two_rooms")
     places = jax.random.uniform(jax.random.key(0), (2000, 2), jnp.float32, 0.0, 2.0)
     actions = jax.random.uniform(jax.random.key(1), (2000, 2), jnp.float32, -1.0, 1.0)
@@ -245,7 +221,7 @@ def test_nobody_walks_through_the_wall_of_the_two_rooms():
 def own_task() -> dict:
     """The names that the task of the notebook leaves behind."""
     cells = code_cells(read("your_own"))
-    with run("\n".join(cells[name].source for name in ("imports", "task")), *WALLED_SQUARE) as names:
+    with run("\n".join(cells[name].source for name in ("imports", "task"))) as names:
         yield names | {"env": envs.load("walled_square")}
 
 
@@ -298,7 +274,7 @@ def test_all_actions_can_be_taken_after_vectors_too(own_task):
 def test_the_arm_of_brax_is_trained_on():
     """Its tip is at its goal where it says so, and what it sees does not tell the goal."""
     sizes = SMALL | {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 5}
-    with run(block_of(ROBOT), *TIP) as names:
+    with run(block_of(ROBOT)) as names:
         train = infogoal_jax.make_train(presets.load("tip", "none", **sizes))
         result = jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
         task = names["task"]
@@ -340,7 +316,7 @@ def test_a_policy_that_learned_from_a_file_plays_in_ogbench(tmp_path, monkeypatc
     def prepare(patch):
         patch.setattr(presets, "load", lambda *words, **changes: load(*words, **(changes | sizes)))
 
-    with run(block_of(OGBENCH), "maze", envs.registry, presets.registry, prepare=prepare) as names:
+    with run(block_of(OGBENCH), prepare=prepare) as names:
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(names["params"]))
     assert all(env.steps == 5 for env in played) and capsys.readouterr().out.strip()
 

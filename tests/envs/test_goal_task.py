@@ -43,21 +43,6 @@ class Square(GoalTask):
         return place
 
 
-@pytest.fixture
-def registered():
-    """Registers tasks, and forgets them afterwards."""
-    names = []
-
-    def register(env, name="square"):
-        names.append(name)
-        presets.register(name, env)
-
-    yield register
-    for name in names:
-        envs.registry.pop(name, None)
-        presets.registry.pop(name, None)
-
-
 def changed(**members):
     """The square with other members."""
     kind = types.new_class("Other", (Square,), {}, lambda names: names.update(members | {"__module__": "own"}))
@@ -122,10 +107,10 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case, registered):
+def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case):
     members, message = WRONG[case]
     with pytest.raises(UserError, match=message) as error:
-        registered(changed(**members))
+        presets.register("square", changed(**members))
         make_train(presets.load("square", "none"))
     assert "\n" not in str(error.value)
 
@@ -162,9 +147,9 @@ def test_a_task_that_does_not_say_how_large_its_actions_are_is_refused():
 
 
 @pytest.mark.parametrize(("radius", "field"), [(0.0, "env.radius"), (-1.0, "env.radius"), (5.0, "env.reached")])
-def test_a_radius_that_decides_nothing_is_refused(radius, field, registered):
+def test_a_radius_that_decides_nothing_is_refused(radius, field):
     with pytest.raises(UserError, match=f"^{field} = "):
-        registered(Square(GOALS, radius=radius))
+        presets.register("square", Square(GOALS, radius=radius))
         make_train(presets.load("square", "none"))
 
 
@@ -175,7 +160,7 @@ def test_what_is_no_goal_task_is_not_registered(env):
     assert "square" not in envs.registry and "square" not in presets.registry
 
 
-def test_values_are_bounded_by_what_staying_at_the_goal_is_worth(registered):
+def test_values_are_bounded_by_what_staying_at_the_goal_is_worth():
     """Every step at the goal is worth 1 otherwise: a sigmoid is refused, and targets are clipped higher."""
     goes_on = presets.load("point_maze", "none", env=PlaneConfig(ends_at_goal=False))
     assert goes_on.agent.bounded and not reasons_against(goes_on)
@@ -187,15 +172,17 @@ def test_values_are_bounded_by_what_staying_at_the_goal_is_worth(registered):
     assert "relabelling" in {
         refusal.field for refusal in reasons_against(dataclasses.replace(all_goals, task="reacher"))
     }
-    registered(Square(GOALS, ends_at_goal=False))
+    presets.register("square", Square(GOALS, ends_at_goal=False))
     config = presets.load("square", "none")
     assert config.agent.bounded and not reasons_against(config)
 
 
 @pytest.mark.long
-def test_steps_to_numbers_that_are_not_finite_are_counted(registered):
+def test_steps_to_numbers_that_are_not_finite_are_counted():
     """From half of the square every step leads to NaN: it is taken back, is no transition, and stands in the epochs."""
-    registered(changed(move=lambda self, place, action: jnp.where(place[0] > 1.0, jnp.nan, place + 0.1 * action)))
+    presets.register(
+        "square", changed(move=lambda self, place, action: jnp.where(place[0] > 1.0, jnp.nan, place + 0.1 * action))
+    )
     train = make_train(presets.load("square", "none", num_envs=16, rollout_steps=40, batch_size=8))
 
     def collected(key):
@@ -225,7 +212,7 @@ def test_a_report_says_what_epochs_tell_of_a_task():
     assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}))
 
 
-def test_a_world_may_have_empty_arrays(registered):
+def test_a_world_may_have_empty_arrays():
     """As `mjx.Data` of a robot that touches nothing has."""
 
     @flax.struct.dataclass
@@ -242,7 +229,7 @@ def test_a_world_may_have_empty_arrays(registered):
         def achieved_goal(self, world):
             return world["place"]
 
-    registered(Robot(GOALS, radius=0.2), "robot")
+    presets.register("robot", Robot(GOALS, radius=0.2))
     sizes = dict(num_epochs=1, epochs_per_evaluation=1, num_envs=4, rollout_steps=10, buffer_steps=80)
     train = make_train(presets.load("robot", "none", updates_per_epoch=1, batch_size=8, evaluation_starts=2, **sizes))
     shapes = jax.eval_shape(train, jax.random.key(0))

@@ -22,16 +22,6 @@ SMALL = "--num-epochs 1 --epochs-per-evaluation 1 --env.episode-length 10 --roll
 SMALL += " --updates-per-epoch 2 --batch-size 8 --evaluation-starts 1 --no-figures"
 
 
-@pytest.fixture(autouse=True)
-def _as_before(monkeypatch):
-    """What a test registers is forgotten after it."""
-    before = dict(envs.registry), dict(presets.registry)
-    yield
-    for registry, entries in zip((envs.registry, presets.registry), before, strict=True):
-        for name in registry.keys() - entries.keys():
-            del registry[name]
-
-
 @pytest.mark.parametrize(
     ("words", "meant"),
     [

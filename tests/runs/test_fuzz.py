@@ -6,7 +6,6 @@ import dataclasses
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import hand_made
@@ -25,9 +24,10 @@ from fuzzing import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import forgotten
 
 from infogoal_drone import cli as fly
-from infogoal_jax import imports, presets
+from infogoal_jax import presets
 from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.errors import UserError
@@ -173,15 +173,13 @@ def test_a_command_line_is_accepted_or_refused_and_nothing_is_changed(
     @examples("command lines", count)
     @given(command_lines())
     def check(line):
-        with contextlib.suppress(WorkBegins):
+        with forgotten(), contextlib.suppress(WorkBegins):
             try:
                 status = command_line.main(line)
             except SystemExit as stopped:  # After a help.
                 status = stopped.code
             said = capsys.readouterr().err
             assert status in (0, 1) or (status == 2 and re.fullmatch("infogoal: .*\n", said)), said
-        imports.imported.clear()
-        sys.modules.pop("task", None)
         capsys.readouterr()
         assert digest(tmp_path) == before
 
