@@ -28,11 +28,20 @@ FLIGHTS, WITHIN = 12, 0.05
 
 
 @pytest.fixture(scope="module")
-def drone():
-    """A simulated Tello."""
-    started = simulated_tello.start(faults.settings((0, 0, 0)))
+def drones():
+    """The simulated Tellos of this file, the last of which may fly."""
+    started = []
     yield started
-    started.stop()
+    for one in started:
+        one.stop()
+
+
+@pytest.fixture
+def drone(drones):
+    """A simulated Tello that is there: one that nobody asked for a minute has ended, and another is started."""
+    if not drones or drones[-1].process.poll() is not None:
+        drones.append(simulated_tello.start(faults.settings((0, 0, 0))))
+    return drones[-1]
 
 
 def fly(drone, folder, policy, *more, **settings):
@@ -48,7 +57,7 @@ def fly(drone, folder, policy, *more, **settings):
 @pytest.mark.long
 def test_record_train_and_fly(tmp_path):
     """The way of docs/guides/drone.md, with two short recordings of the same place and a policy that has hardly
-    learned. It comes first: it trains for minutes, in which a simulated drone that nobody asks ends."""
+    learned."""
     recordings, mine, run, policy = (tmp_path / name for name in ("recordings", "mine.npz", "run", "policy.npz"))
     place = ("--simulate", "--start", 26, 7, "--speed", 4, "--left", 2, "--right", 2, "--up", 1, "--down", 1)
     for seed in range(2):
