@@ -142,8 +142,8 @@ def checksums() -> dict[str, str]:
 
 
 def check_unchanged(wanted: dict[str, str], place: str) -> None:
-    """Raise `UserError` if a file that a run was made with is imported with another content. place: of the run's
-    description."""
+    """Raise `UserError` if a file that a run was made with is imported with another content, or other files in its
+    place. place: of the run's description."""
     for name, checksum in wanted.items():
         file = imported.get(name)
         if file is not None and file.checksum != checksum:
@@ -151,6 +151,8 @@ def check_unchanged(wanted: dict[str, str], place: str) -> None:
                 f"{place}: the run was made with another {name!r} (SHA-256 {checksum[:12]}) than {file.path} "
                 f"({file.checksum[:12]}); give the file as it was"
             )
+    if imported and not set(wanted.values()) <= {file.checksum for file in imported.values()}:
+        raise UserError(f"{place}: {missing(wanted)}")  # What others register may be another task of the same name.
 
 
 def missing(wanted: dict[str, str]) -> str:

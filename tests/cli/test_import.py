@@ -66,8 +66,9 @@ def my_task(tmp_path, monkeypatch):
 
 def forget():
     """As in a new process."""
+    for name in imports.imported:
+        sys.modules.pop(Path(name).stem, None)
     imports.imported.clear()
-    sys.modules.pop("my_task", None)
     for registry in (envs.registry, presets.registry):
         registry.pop("my_rooms", None)
 
@@ -111,6 +112,10 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
     assert "episode.gif: 2 episodes of the policy of seed 0; the goal is reached in" in capsys.readouterr().out
     with Image.open("episode.gif") as video:
         assert video.size == (60, 40) and video.n_frames > 1
+    forget()
+    Path("other.py").write_text(TASK + "# Another task of this name.")
+    line = refused("evaluate run --import other.py".split(), capsys)
+    assert "run/config.json: the run was made with my_task.py" in line and "give --import my_task.py" in line
     forget()
     my_task.write_text(TASK + "# Changed.")
     assert "made with another 'my_task.py'" in refused("evaluate run --import my_task.py".split(), capsys)
