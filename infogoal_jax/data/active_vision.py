@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from infogoal_jax.data.pictures import CHECK_HINT, scene_pictures
-from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.errors import UserError, nearest, shown, typed
 from infogoal_jax.files import from_json, read_text
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
@@ -24,6 +26,19 @@ ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
 SMALLEST_IMAGE, LARGEST_IMAGE = 4, 512  # Sides of the grey images, in pixels.
+MAPS = ("all_instance_id_map.txt", "instance_id_map.txt")
+SCENE_NAME = re.compile(r"(Home|Office)_\d{3}_\d")
+Report = Callable[[str, str], None]
+"""Is told what is wrong: where, a path below the dataset, and the problem. `load` stops there, `check` goes on."""
+
+
+class Annotation(NamedTuple):
+    """What is annotated of one image."""
+
+    moves: dict[str, str]
+    """The image that each action leads to, "" where there is no move."""
+    boxes: list[tuple[float, float, float, float, int, int]]
+    """Left, top, right and bottom in pixels, the object's id and the difficulty, 1 to 5."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,14 +96,18 @@ def load(
         raise UserError(f"image_size = {image_size!r}: must be {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels")
     if not 0 <= min_box_size < 1:
         raise UserError(f"min_box_size = {min_box_size!r}: must be a share of the image height, from 0 to below 1")
-    identities = read_instance_map(root)
+
+    def stop(where: str, problem: str) -> None:
+        raise UserError(f"{root / where}: {problem}; {CHECK_HINT.format(typed(root))}")
+
+    found = find_scenes(root, stop)
+    identities = read_instance_map(root, stop)
     for name in objects:
         if name not in identities:
             raise UserError(f"objects: {name!r} is not in the instance map of {root}.{nearest(name, list(identities))}")
     if not objects or len(set(objects)) < len(objects):
         raise UserError(f"objects = {objects!r}: give at least one, each once")
     columns = {identities[name]: column for column, name in enumerate(objects)}
-    found = find_scenes(root)
     names = found if scenes is None else tuple(scenes)
     unknown = [name for name in names if name not in found]
     if unknown:
@@ -101,12 +120,12 @@ def load(
 
     parts, image_names, start = [], [], 0
     for index, name in enumerate(names):
-        annotations = read_annotations(root / name)
-        images, sizes, position = scene_pictures(root / name, sorted(annotations), image_size, cache_dir)
+        annotations = read_annotations(root / name, stop)
+        images, sizes, position = scene_pictures(root / name, list(annotations), image_size, cache_dir)
         visible = _in_clear_view(annotations, sizes, columns, min_box_size, max_difficulty)
-        next_state = _moves(root / name, annotations) + start
+        next_state = _moves(annotations) + start
         parts.append((images, next_state, visible, position, np.full(len(images), index, np.int32)))
-        image_names.extend(sorted(annotations))
+        image_names.extend(annotations)
         start += len(images)
     images, next_state, visible, position, scene = (np.concatenate(column) for column in zip(*parts, strict=True))
     unseen = [name for name, seen in zip(objects, visible.any(0), strict=True) if not seen]
@@ -119,70 +138,98 @@ def load(
     return SearchScenes(images, next_state, visible, position, scene, tuple(image_names), tuple(names), objects, source)
 
 
-def read_instance_map(root: Path) -> dict[str, int]:
-    """Object name -> instance id, from the map at the dataset's root."""
-    if not root.is_dir():
-        raise UserError(f"dataset {root}: no such folder; give the folder that holds the scenes (Home_001_1, ...)")
-    for name in ("all_instance_id_map.txt", "instance_id_map.txt"):
-        if (root / name).is_file():
-            try:
-                pairs = [line.split() for line in read_text(root / name).splitlines() if line.strip()]
-                return {object_name: int(identity) for object_name, identity in pairs}
-            except (OSError, ValueError) as error:
-                raise UserError(
-                    f"{root / name}: wants lines of `name id` ({error}); {CHECK_HINT.format(root)}"
-                ) from error
-    raise UserError(f"dataset {root}: has no all_instance_id_map.txt; {CHECK_HINT.format(root)}")
-
-
-def find_scenes(root: Path) -> tuple[str, ...]:
+def find_scenes(root: Path, report: Report) -> tuple[str, ...]:
     """Names of the folders under `root` that hold a scene, sorted."""
-    found = tuple(
-        sorted(p.name for p in root.iterdir() if (p / "annotations.json").exists() or (p / "jpg_rgb").is_dir())
-    )
+    if not root.is_dir():
+        report("", "no such folder; give the folder that holds the scenes (Home_001_1, ...)")
+        return ()
+    if (root / "annotations.json").exists():
+        report("", f"this is a scene; give the folder above it, {root.resolve().parent}")
+        return ()
+
+    def is_scene(path: Path) -> bool:
+        named = bool(SCENE_NAME.fullmatch(path.name))
+        return path.is_dir() and (named or (path / "annotations.json").exists() or (path / "jpg_rgb").exists())
+
+    found = tuple(sorted(path.name for path in root.iterdir() if is_scene(path)))
     if not found:
-        raise UserError(f"dataset {root}: no scene folder (one with annotations.json and jpg_rgb) in it")
+        report("", "no scene folder (such as Home_001_1, with annotations.json and jpg_rgb) in it")
     return found
 
 
-def read_annotations(scene: Path) -> dict[str, dict]:
-    """Image name -> moves and boxes of one scene, checked for the fields that are used."""
-    path = scene / "annotations.json"
+def read_instance_map(root: Path, report: Report) -> dict[str, int]:
+    """Object name -> instance id, from the map at the dataset's root."""
+    name = next((name for name in MAPS if (root / name).is_file()), None)
+    if name is None:
+        report(MAPS[0], "missing: no object has a name")
+        return {}
+    identities: dict[str, int] = {}
+    for number, line in enumerate(read_text(root / name, errors="replace").splitlines(), 1):
+        words = line.split()
+        if words and (len(words) != 2 or not words[1].isdecimal() or len(words[1]) > 9):
+            report(f"{name}:{number}", f"{shown(line)} is not `name id`")
+        elif words and (words[0] in identities or int(words[1]) in identities.values()):
+            report(f"{name}:{number}", f"the name or the id of {shown(line)} was given before")
+        elif words:
+            identities[words[0]] = int(words[1])
+    return identities
+
+
+def read_annotations(scene: Path, report: Report) -> dict[str, Annotation]:
+    """Image name -> moves and boxes of one scene, by name; what is wrong is reported and left out."""
+    where = f"{scene.name}/annotations.json"
     try:
-        annotations = from_json(read_text(path))
-        for record in annotations.values():
-            for action in ACTIONS:
-                record[action].startswith("")
-            for box in record["bounding_boxes"]:
-                _, _, _, _, _, _ = (value + 0 for value in box)
-    except OSError as error:
-        raise UserError(f"{path}: {error.strerror or error}; {CHECK_HINT.format(scene.parent)}") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        reason = f"has no field {error}" if isinstance(error, KeyError) else f"damaged or cut short ({error})"
-        raise UserError(f"{path}: {reason}; {CHECK_HINT.format(scene.parent)}") from error
-    if not annotations:
-        raise UserError(f"{path}: names no image; {CHECK_HINT.format(scene.parent)}")
-    return annotations
+        content = from_json(read_text(scene / "annotations.json"))
+    except FileNotFoundError:
+        report(where, "missing")
+        return {}
+    except (OSError, ValueError) as error:
+        report(where, f"cannot be read, or cut short: {error}")
+        return {}
+    if not isinstance(content, dict) or not content:
+        report(where, "wants a dictionary with at least one image")
+        return {}
+    records = {}
+    for name, record in sorted(content.items()):
+        if isinstance(record, dict):
+            records[name] = record
+        else:
+            report(f"{scene.name}/{name}", "its annotation is not a dictionary")
+    return {name: _annotation(f"{scene.name}/{name}", records, name, report) for name in records}
 
 
-def _moves(scene: Path, annotations: Mapping[str, dict]) -> np.ndarray:
+def _annotation(where: str, records: Mapping[str, dict], name: str, report: Report) -> Annotation:
+    """The moves and boxes of one image, without those that are wrong."""
+    moves, boxes = dict.fromkeys(ACTIONS, ""), []
+    for action in ACTIONS:
+        target = records[name].get(action)
+        if not isinstance(target, str):
+            report(where, f"{action} is {target!r}: wants the name of an image, or an empty string")
+        elif target and target not in records:
+            report(where, f"{action} leads to {target}, which is not there")
+        else:
+            moves[action] = target
+    given = records[name].get("bounding_boxes")
+    if not isinstance(given, list):
+        report(where, f"bounding_boxes is {given!r}: wants a list")
+        return Annotation(moves, boxes)
+    for box in given:
+        if isinstance(box, list) and len(box) == 6 and all(type(value) in (int, float) for value in box):
+            boxes.append(tuple(box))
+        else:
+            report(where, f"box {box!r}: wants [xmin, ymin, xmax, ymax, id, difficulty]")
+    return Annotation(moves, boxes)
+
+
+def _moves(annotations: Mapping[str, Annotation]) -> np.ndarray:
     """Successor of each state under each action, the state itself where there is no edge: int32 [S, 6]."""
-    number = {name: index for index, name in enumerate(sorted(annotations))}
-    moves = np.empty((len(number), len(ACTIONS)), np.int32)
-    for name, index in number.items():
-        for column, action in enumerate(ACTIONS):
-            target = annotations[name][action]
-            if target and target not in number:
-                raise UserError(
-                    f"{scene}: {action} of {name} leads to {target}, which is not annotated; "
-                    f"{CHECK_HINT.format(scene.parent)}"
-                )
-            moves[index, column] = number[target] if target else index
-    return moves
+    number = {name: index for index, name in enumerate(annotations)}
+    targets = ([moves[action] or name for action in ACTIONS] for name, (moves, _) in annotations.items())
+    return np.array([[number[target] for target in row] for row in targets], np.int32)
 
 
 def _in_clear_view(
-    annotations: Mapping[str, dict],
+    annotations: Mapping[str, Annotation],
     sizes: np.ndarray,
     columns: Mapping[int, int],
     min_box_size: float,
@@ -190,8 +237,8 @@ def _in_clear_view(
 ) -> np.ndarray:
     """Which objects each image shows large enough: bool [S, N]. `sizes` int [S, 2] are widths and heights in pixels."""
     visible = np.zeros((len(annotations), len(columns)), bool)
-    for index, name in enumerate(sorted(annotations)):
-        for left, top, right, bottom, identity, difficulty in annotations[name]["bounding_boxes"]:
+    for index, annotation in enumerate(annotations.values()):
+        for left, top, right, bottom, identity, difficulty in annotation.boxes:
             large = min(right - left, bottom - top) >= min_box_size * sizes[index, 1]
             if large and difficulty <= max_difficulty and identity in columns:
                 visible[index, columns[identity]] = True

@@ -115,15 +115,15 @@ def test_one_fault_is_one_finding(copy):
 
 def test_images_are_read_once(tiny_house, monkeypatch):
     read = []
-    decode = check_module._decode
-    monkeypatch.setattr(check_module, "_decode", lambda path: read.append(path) or decode(path))
+    size = check_module._size
+    monkeypatch.setattr(check_module, "_size", lambda path: read.append(path) or size(path))
     check_active_vision(tiny_house)
     assert len(read) == len(set(read)) == len(list((tiny_house / SCENE / "jpg_rgb").iterdir()))
 
 
 def test_wrong_folders_are_explained(tiny_house, tmp_path):
     (finding,) = check_active_vision(tmp_path / "nowhere")
-    assert finding.problem == "no such folder"
+    assert finding.problem.startswith("no such folder; give")
     (finding,) = check_active_vision(tiny_house / SCENE)
     assert "this is a scene" in finding.problem
     assert any("no scene folder" in f.problem for f in check_active_vision(tmp_path))
