@@ -7,6 +7,7 @@ axes, because they are also applied to the replay buffer. docs/guides/own_task.m
 nothing to a trained policy.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -167,24 +168,22 @@ class Environment:
         return self.replace(goals=goals)
 
 
-KNOWN: dict[Any, Any] = {}
-"""What `one_observation` found out, by the environment without the numbers in its arrays."""
-MOST_KNOWN = 64
-
-
 def one_observation(env: Environment) -> Any:
     """Shape and type of what is stored of one observation. A reset is traced for it once, since that of a simulator
     takes seconds; always for an environment that is no pytree, or has a static field without a hash."""
     leaves, tree = jax.tree.flatten(env)
-    which = tree, *((leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else type(leaf) for leaf in leaves)
     try:
-        known = KNOWN.pop(which, None)
-    except TypeError:
-        which = known = None
-    if known is None or any(leaf is env for leaf in leaves):
-        known = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
-    if which is not None:
-        KNOWN[which] = known
-    if len(KNOWN) > MOST_KNOWN:
-        del KNOWN[next(iter(KNOWN))]
-    return known
+        return traced_observation(tree, *(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
+    except (AttributeError, TypeError):
+        return jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+
+
+@functools.lru_cache(maxsize=64)
+def traced_observation(tree: Any, *leaves: jax.ShapeDtypeStruct) -> Any:
+    """`one_observation` of the environment with this structure and arrays like these."""
+
+    def observed(key: jax.Array, leaves: tuple[jax.Array, ...]) -> Any:
+        env = jax.tree.unflatten(tree, leaves)
+        return env.observe(env.reset(key))
+
+    return jax.eval_shape(observed, jax.random.key(0), leaves)
