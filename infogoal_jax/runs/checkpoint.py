@@ -73,17 +73,6 @@ def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
     return header, payload
 
 
-def epoch_of(path: Path) -> int:
-    """The epoch that a checkpoint names, for what is shown before it is read: nothing is checked, and it is 0 where no
-    such file is."""
-    try:
-        with path.open("rb") as file:
-            epoch = json.loads(file.readline(1_000_000))["epoch"]
-    except (OSError, ValueError, LookupError, TypeError):
-        return 0
-    return epoch if isinstance(epoch, int) and epoch > 0 else 0
-
-
 def load(path: Path, template: Any) -> tuple[dict[str, Any], Any]:
     """The header and the pytree of a checkpoint. template: a pytree of the same structure (shapes are enough), as
     `jax.eval_shape` gives it.

@@ -202,6 +202,15 @@ def write(folder: Path, description: Description, **more: Any) -> None:
 def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Description:
     """The description of the run in this folder. Raises `UserError`, naming the field and what to give, if there is
     none, or it is not one."""
+    values, place = read_values(folder, field, remedy)
+    if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:
+        given = f"{field} = {str(folder)!r}"
+        raise UserError(f"{given}: is of a search, which `infogoal tune --resume` goes on with; {remedy}")
+    return from_values(values, place)
+
+
+def read_values(folder: Path, field: str, remedy: str) -> tuple[Any, Place]:
+    """The JSON values of the config.json in this folder, and where they are. Raises `UserError` as `read` does."""
     place, given = Place(folder / NAME), f"{field} = {str(folder)!r}"
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
@@ -209,10 +218,7 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
         own = sorted(path.parent for path in folder.glob(f"*/{NAME}"))
         raise UserError(f"{given}: is of a sweep; give one of its runs{f', such as {own[0]}' if own else ''}")
     missing = "holds no config.json" if folder.exists() else "there is no such folder"
-    values = parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place)
-    if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:
-        raise UserError(f"{given}: is of a search, which `infogoal tune --resume` goes on with; {remedy}")
-    return from_values(values, place)
+    return parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place), place
 
 
 def made_with(files: dict[str, str], config: Any, place: Place) -> TrainConfig:

@@ -18,7 +18,7 @@ from infogoal_jax.hyperparameters import search_space, with_values
 from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs import configuration, disk
 from infogoal_jax.runs.configuration import OF_A_SEARCH, Description
-from infogoal_jax.runs.disk import Place, decode, decode_value, parse, parse_lines, read_bytes
+from infogoal_jax.runs.disk import Place, decode, decode_value, parse_lines, read_bytes
 
 GIVE_A_SEARCH = "give the folder of an `infogoal tune` or `infogoal final`"
 
@@ -129,8 +129,8 @@ def write_plan(folder: Path, result: TuneResult) -> None:
 def read_plan(folder: Path) -> tuple[Description, list[Trial]]:
     """What a search or a final is of, and the trials that it was to run. Raises `UserError` for a folder that holds
     none."""
-    about, place = configuration.read(folder, "search", GIVE_A_SEARCH), Place(folder / configuration.NAME)
-    values = parse(read_bytes(place, f"{place.path}: not there"), place)
+    values, place = configuration.read_values(folder, "search", GIVE_A_SEARCH)
+    about = configuration.from_values(values, place)
     if OF_A_SEARCH not in values:
         raise UserError(f"search = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
     trials = decode_value(list[Trial], values[OF_A_SEARCH], OF_A_SEARCH, place)
