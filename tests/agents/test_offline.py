@@ -1,15 +1,17 @@
-"""The offline agents beside OGBench's own code (fixtures/ogbench.npz): loss and gradient of one update on the same
-parameters and transitions; what they are combined with; and a line on which they learn from random walks."""
+"""The offline agents beside OGBench's own code (fixtures/ogbench.npz), TD3+BC beside its authors': loss and gradient of
+one update on the same parameters and transitions; what they are combined with; and a line on which they learn from
+random walks."""
 
 import dataclasses
 import functools
 
+import hand_made
 import jax
 import numpy as np
 import pytest
 import vector_agents
 from hand_made_frames import manipulation, manipulation_config
-from places import FIXTURES
+from places import FIXTURES, recorded
 
 from infogoal_jax import UserError, agents, envs, make_train, presets
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
@@ -151,7 +153,11 @@ def test_an_update_is_that_of_ogbench(case):
     for part, values in given["info"].items():
         for metric in {f"{part}_loss", *values} & {*metrics} & {*values}:
             np.testing.assert_allclose(metrics[metric], values[metric], rtol=1e-5, err_msg=metric)
-    theirs, ours = parts_of(given["gradient"]), inside(gradient)
+    assert_same(parts_of(given["gradient"]), inside(gradient))
+
+
+def assert_same(theirs: dict, ours: dict) -> None:
+    """Gradients {network: arrays by layer} are the same, to 1e-5 of the largest number of a network."""
     assert theirs.keys() == ours.keys()
     for name in theirs:
         flat = jax.tree_util.tree_leaves_with_path(theirs[name])
@@ -159,6 +165,29 @@ def test_an_update_is_that_of_ogbench(case):
         assert size > 0
         for (path, leaf), own in zip(flat, jax.tree.leaves(ours[name]), strict=True):
             np.testing.assert_allclose(own, leaf, rtol=1e-5, atol=1e-5 * size, err_msg=f"{name}{path}")
+
+
+def test_an_update_near_the_data_is_that_of_td3_bc():
+    """Where target actions have no noise. The critics' squared errors are halved here."""
+    arrays = recorded("td3_bc")
+    batch, given, expected = (nested(arrays, f"{kind}/") for kind in ("batch", "params", "gradient"))
+    agent, entry = agent_of("td3", huber=False, behaviour=True)
+    # No goals: the authors' agent has none.
+    seen, none = batch["observations"], np.zeros((len(batch["observations"]), 0), np.float32)
+    transitions = batch_of(
+        batch | {"value_goals": none, "actor_goals": none, "masks": batch["not_done"]}, arrays["discount"]
+    )
+    example, state = hand_made.initial(agent, KEY, seen[0], none[0])
+    params = filled(example, {name: given[name] for name in ("actor", "critic")})
+    target_params = filled(example, {name: given[f"target_{name}"] for name in ("actor", "critic")})
+    hyper = entry.hyper(target_noise=0.0, action_cost=0.0, behaviour_alpha=arrays["alpha"])
+
+    def loss(params):
+        return agent.loss(params, target_params, transitions, state, hyper, KEY)[0]
+
+    found, gradient = jax.jit(jax.value_and_grad(loss))(params)
+    np.testing.assert_allclose(found, arrays["critic_loss"] / 2 + arrays["actor_loss"], rtol=1e-5)
+    assert_same(expected | {"critic": jax.tree.map(lambda leaf: leaf / 2, expected["critic"])}, inside(gradient))
 
 
 @pytest.mark.parametrize("name", NAMES)

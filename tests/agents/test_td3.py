@@ -43,29 +43,6 @@ def test_loss_is_that_of_the_formulas(bounded, largest):
     )
 
 
-def test_near_the_data_the_actor_is_that_of_td3_bc():
-    """As in its authors' code: lmbda = alpha / Q.abs().mean(), actor_loss = -lmbda * Q.mean() + mse_loss(pi, action),
-    with values of either sign; the critics learn as before."""
-    batch = random_batch()
-    plain, near = (agent_of(huber=False, behaviour=behaviour) for behaviour in (False, True))
-    params, state = started(plain)
-    params = varied(params, 2)
-    hyper = td3.TD3Hyperparameters(target_noise=0.0, action_cost=0.0, behaviour_alpha=1.7)
-    inputs = joined(batch.features, batch.code)
-    own = np.tanh(mlp(params["actor"], inputs))
-    values = twin(params["critic"], batch.features, batch.code, own)[0]
-    assert (values < 0).any() and (values > 0).any()
-
-    def loss_of(agent):
-        return lambda params: agent.loss(params, params, batch, state, hyper, jax.random.key(0))[0]
-
-    found = [jax.jit(jax.value_and_grad(loss_of(agent)))(params) for agent in (plain, near)]
-    losses, gradients = zip(*found, strict=True)
-    expected = -1.7 / np.abs(values).mean() * values.mean() + ((own - batch.action) ** 2).mean()
-    np.testing.assert_allclose(losses[1] - (losses[0] + values.mean()), expected, rtol=1e-4)
-    jax.tree.map(np.testing.assert_array_equal, *(each["critic"] for each in gradients))
-
-
 @pytest.mark.parametrize("critic", ["concatenated", "product"])
 def test_noise_and_chance_alone_lead_away_from_the_best_action(critic):
     agent, batch = agent_of(critic=critic, bounded=critic == "product"), random_batch()
