@@ -145,20 +145,18 @@ def _shade(boxes, levels, camera, position, directions, depth, nearest, axis) ->
     far = ~np.isfinite(depth)
     reach = np.where(far, 1, depth)
     point = position[:, None, None] + reach * directions  # [3, height, width]
-    along = np.take_along_axis(directions, axis[None].astype(int), 0)[0]
+    axis = axis.astype(np.intp)
+    along = _at(directions, axis)
     face = 2 * axis + (along < 0)  # a ray that goes up the axis meets the lower face
-    across = np.where(axis == 0, 1, 0)[None]
-    upward = np.where(axis == 2, 1, 2)[None]
-    lower = np.moveaxis(boxes.lower[nearest], -1, 0)
-    extent = np.moveaxis((boxes.upper - boxes.lower)[nearest], -1, 0)
-    tile = boxes.tile[nearest]
+    across = np.where(axis == 0, 1, 0)
+    upward = np.where(axis == 2, 1, 2)
+    extent, tile = boxes.upper - boxes.lower, boxes.tile[nearest]
 
     def coordinate(axes: np.ndarray, repeat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        at = np.take_along_axis(point, axes, 0)[0]
         stretched = repeat == 0
-        start = np.where(stretched, np.take_along_axis(lower, axes, 0)[0], 0)
-        length = np.where(stretched, np.take_along_axis(extent, axes, 0)[0], repeat)
-        return (at - start) / length, length
+        start = np.where(stretched, boxes.lower[nearest, axes], 0)
+        length = np.where(stretched, extent[nearest, axes], repeat)
+        return (_at(point, axes) - start) / length, length
 
     u, width = coordinate(across, tile[..., 0])
     v, _ = coordinate(upward, tile[..., 1])
@@ -168,10 +166,16 @@ def _shade(boxes, levels, camera, position, directions, depth, nearest, axis) ->
     cosine = np.abs(along) / np.linalg.norm(directions, axis=0)
     texels = reach / camera.focal_length / np.maximum(cosine, 0.25) / (width / TEXTURE_SIZE)
     level = np.clip(np.rint(np.log2(np.maximum(texels, 1e-3))), 0, LEVELS - 1).astype(np.int32)
-    colour = levels[level, boxes.texture[nearest, face], row, column].astype(np.float32)
+    texel = np.ravel_multi_index((level, boxes.texture[nearest, face], row, column), levels.shape[:-1])
+    colour = levels.reshape(-1, 3).take(texel, 0).astype(np.float32)
     light = FACE_LIGHT[face] * (1 / (1 + 0.03 * reach))
     colour = np.where(far[..., None], 0, colour * light[..., None])
     return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+
+
+def _at(values: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Of values [3, height, width] those of the axis [height, width] that each pixel asks for: [height, width]."""
+    return values.reshape(-1).take(axis * axis.size + np.arange(axis.size).reshape(axis.shape))
 
 
 def _sightings(boxes: Boxes, instance: np.ndarray, outline: np.ndarray, counts: np.ndarray) -> list[Sighting]:
