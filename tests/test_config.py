@@ -277,6 +277,21 @@ def test_a_part_says_itself_what_it_changes_in_an_agent(monkeypatch):
     assert presets.load("object_search", relabelling="own", learner="index", agent="dqn").agent.head == "index"
 
 
+@pytest.mark.parametrize("method", ["infogoal", "her", "none"])
+def test_a_small_preset_has_the_same_task_and_goals(method):
+    full, small = presets.load("object_search", method), presets.load("object_search", method, small=True)
+    sizes = {name: getattr(full, name) for name in ("hyper", "num_epochs", "batch_size")}
+    assert dataclasses.replace(small, **sizes) == full and presets.name_of(small) == method
+    assert small.num_epochs * small.batch_size < full.num_epochs * full.batch_size
+    search = SEARCHES[f"clean/object_search/{method}"]
+    after = search["epochs"].index(small.num_epochs)
+    reached = [np.mean(trial["success"][after]) for trial in search["trials"]]
+    chosen = next(
+        i for i, trial in enumerate(search["trials"]) if values_of(small.hyper).items() >= trial["values"].items()
+    )
+    assert reached[chosen] > max(reached) - 0.1
+
+
 def test_all_public_names_can_be_completed():
     """Those that are imported when they are first asked for are listed like the others, and are there."""
     assert set(presets.__all__) <= set(dir(presets))
@@ -295,6 +310,8 @@ GOOD = dict(agent="td3", training={}, hyper={}, methods={})
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(presets.Preset)])
 @pytest.mark.parametrize("value", [None, 3, ["td3"], b"x", {1: 2}, CONFIG.agent], ids=str)
 def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value):
+    if field == "small" and value is None:
+        return  # As it is where a task has none.
     with pytest.raises(UserError, match=f"preset of point_maze_2: {field} = "):
         presets.registry["point_maze_2"] = presets.Preset(**GOOD | {field: value})
     assert "point_maze_2" not in presets.registry
@@ -314,6 +331,7 @@ def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value)
         (dict(methods={"nope": Changes()}), "in methods"),
         (dict(methods={"infogoal": Changes(learner={"nope": 1})}), r"in methods\['infogoal'\]"),
         (dict(methods={"her": Changes(relabelling={"nope": 1})}), r"in methods\['her'\]"),
+        (dict(small=presets.Preset(**GOOD | {"training": {"nope": 3}})), "'nope': no such method, part or field in it"),
     ],
 )
 def test_a_name_in_a_preset_that_nothing_has_is_refused(changes, said):

@@ -90,6 +90,8 @@ class Choice(Parts):
 
     resume: Name = None
     """Folder of a run to go on with."""
+    small: bool = False
+    """The task's preset for first trials."""
     help: Annotated[bool, tyro.conf.arg(aliases=["-h"])] = False
     """Show the help."""
     help_all: bool = False
@@ -137,11 +139,11 @@ def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:
     return task, choice
 
 
-def preset_of(task: str, choice: Parts) -> "TrainConfig":
+def preset_of(task: str, choice: Choice) -> "TrainConfig":
     """The preset of a task with the chosen method and parts. Raises `UserError` for an unknown name."""
     from infogoal_jax import presets
 
-    return presets.load(task, choice.method or "infogoal", **choice.names())
+    return presets.load(task, choice.method or "infogoal", small=choice.small, **choice.names())
 
 
 def check_same_parts(config: "TrainConfig", task: str, choice: Parts) -> None:

@@ -40,6 +40,7 @@ def train(
     parts: Annotated[object, tyro.conf.arg(name="")] = None,
     config: Annotated[object, tyro.conf.arg(name="")] = None,
     resume: str = "",
+    small: FlagCreatePairsOff[bool] = False,
     seeds: int = 1,
     first_seed: int = 0,
     out: str = "",
@@ -59,6 +60,7 @@ def train(
         config: That of the task and the parts.
         resume: Folder of a run to go on with. auto: the run in --out, or the newest under runs/ of this configuration
             and these seeds; a new one where there is none.
+        small: The task's preset for first trials, in the configuration already.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
         out: Folder of the run; empty: a new one under runs/.
@@ -310,10 +312,11 @@ def tasks(arguments: list[str], command: Command = train) -> TaskCommands:
 
         config, plan = read_plan(Path(choice.resume))
         check_same_parts(config, task, choice)
-        check_left_out(arguments, ("--sweep", "--vmap-size", "--seeds", "--first-seed"), "sweep")
+        check_left_out(arguments, ("--small", "--sweep", "--vmap-size", "--seeds", "--first-seed"), "sweep")
         return of_task(train, config, choice, arguments if task else [config.task, *arguments], seeds=len(plan.seeds))
     about = configuration.read(Path(choice.resume))
     check_same_parts(about.config, task, choice)
+    check_left_out(arguments, ("--small",), "run")
     arguments = arguments if task else [about.config.task, *arguments]
     return of_task(command, about.config, choice, arguments, seeds=len(about.seeds), first_seed=about.seeds[0])
 
@@ -383,7 +386,7 @@ def pretrain(
         As `train`. When it finished, the folder has the policy of the seed that reached most target states.
     """
     out = out or resume or str(new_folder(config.task.removesuffix(TARGETS), "low-level"))
-    status = train(parts, config, resume, seeds, first_seed, out)
+    status = train(parts, config, resume, seeds=seeds, first_seed=first_seed, out=out)
     if status:
         return status
     from infogoal_jax.report.export import export

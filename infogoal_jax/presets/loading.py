@@ -76,7 +76,8 @@ def preset_of(task: str) -> Preset:
         f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
     )
     preset = registry[task]
-    check_names(preset, task)
+    for each in filter(None, (preset, preset.small)):
+        check_names(each, task)
     return preset
 
 
@@ -87,6 +88,9 @@ def check_preset(task: str, preset: Preset) -> None:
     checked(preset, f"preset of {task}: ")
     for name, changes in preset.methods.items():
         checked(changes, f"preset of {task}: methods[{name!r}].")
+    if preset.small is not None:
+        require(isinstance(preset.small, Preset), f"preset of {task}: small", preset.small, "give a presets.Preset")
+        check_preset(f"{task}, small", preset.small)
 
 
 def check_names(preset: Preset, task: str) -> None:
@@ -147,15 +151,18 @@ def load(
     agent: Any = None,
     relabelling: Any = None,
     explorer: Any = None,
+    small: bool = False,
     **changes: Any,
 ) -> TrainConfig:
     """The configuration for a task and a method. Raises `UserError` for an unknown name.
 
     learner, agent, relabelling, explorer: another part than the method's and the task's own, by its name or as its
     configuration.
+    small: the task's preset for first trials.
     changes: fields of `TrainConfig`.
     """
     preset, named = preset_of(task), method_named(method)
+    preset = small_one(preset, task, small) if small is not False else preset
     for name in changes.keys() - {field.name for field in dataclasses.fields(TrainConfig)}:
         known = dataclasses.asdict(load(task, method, learner=learner, agent=agent))
         raise UserError(f"{name} = {shown(changes[name])}: no such field of TrainConfig.{whereabouts(name, known)}")
@@ -194,6 +201,14 @@ def load(
         **changed.training,
     }
     return TrainConfig(**(settings | changes))
+
+
+def small_one(preset: Preset, task: str, small: Any) -> Preset:
+    """The preset of a task's first trials, or a `UserError`."""
+    require(isinstance(small, bool), "small", small, "give True or False")
+    known = ", ".join(name for name, each in registry.items() if each.small)
+    require(preset.small is not None, "small", small, f"{task} has no small preset; give fewer epochs. Known: {known}")
+    return preset.small
 
 
 def name_in(kind: str, asked: Any) -> str:

@@ -1,8 +1,10 @@
 """Object search, tuned on houses of other seeds than those that results are shown on."""
 
+import dataclasses
+
 from infogoal_jax.presets.preset import INFOBOT, MEAN, Changes, Preset
 
-PRESET = Preset(
+FULL = Preset(
     description="A robot searches a house, image by image, until the object named by the goal is in view.",
     agent="dqn",  # [P]
     # Without the intrinsic reward, success on training goals takes longer to level off [M].
@@ -24,3 +26,20 @@ PRESET = Preset(
         "vae": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },
 )
+
+AFTER_40_EPOCHS = {  # [T]
+    "learning_rate": 1.044e-3,
+    "discount": 0.991,
+    "target_rate": 0.04305,
+    "learner_weight": 0.2062,
+    "intrinsic_weight": 1.36,
+}
+"""InfoGoal's floats with most validation goals after 40 epochs, of 13 in the search among clean choices. Of HER none
+was better by a tenth than the preset."""
+SMALL = dataclasses.replace(
+    FULL,
+    training={"num_epochs": 40},
+    methods={name: dataclasses.replace(changes, training={}) for name, changes in FULL.methods.items()}
+    | {"infogoal": Changes(hyper=AFTER_40_EPOCHS)},
+)
+PRESET = dataclasses.replace(FULL, small=SMALL)

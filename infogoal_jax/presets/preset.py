@@ -32,6 +32,7 @@ class Preset:
     every method.
     methods: what each method changes, or learner, or learner with a relabelling (`infobot+all_goals`).
     description: the task in a line, for the help of the command line.
+    small: the preset of first trials, which fits a minute of two cores; None: the task has none.
     """
 
     agent: str
@@ -45,6 +46,7 @@ class Preset:
     state_encoder: dict[str, int] = dataclasses.field(default_factory=dict)
     agents: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     relabellings: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    small: "Preset | None" = None
 
     def changes_of(self, method: str) -> Changes:
         """What this method changes."""

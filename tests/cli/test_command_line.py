@@ -1,6 +1,7 @@
 """The command line: a newcomer is understood, and a mistake is named with its field, its value and the remedy, before
 anything is compiled."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -14,6 +15,7 @@ import infogoal_jax
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
+from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runner import compilation, training
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import Description, from_dict, to_dict
@@ -40,6 +42,7 @@ MISTAKES = [
     ("train my_rooms", ["task = 'my_rooms': no such task", "one of your own is registered first: --import FILE"]),
     ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
     ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
+    ("train point_maze --small", ["small = True: point_maze has no small preset", "Known: object_search"]),
     ("train object_search --env.dataset HOUSE --seeds 100000", ["seeds = 100000", "at most"]),
     (
         "train object_search --env.dataset HOUSE --evaluation-starts 1000000000",
@@ -155,6 +158,26 @@ def test_a_mistake_is_named_with_its_value_and_the_remedy(
         assert words in printed
     assert (tmp_path / "a_file").read_text() == (tmp_path / "a_folder" / "kept").read_text() == "kept"
     assert not (tmp_path / "runs").exists()
+
+
+def test_small_is_the_preset_for_first_trials_and_what_a_run_that_goes_on_has_already(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def run(config, *others, **named):
+        asked.append(config)
+        raise UserError("that is enough")
+
+    monkeypatch.setattr(training, "run", run)
+    small = load("object_search", "her", small=True)
+    flags = train_flags(load("object_search", small=True))
+    assert main("train object_search --small --method her --seeds 2".split()) == 2
+    assert main("train object_search --small --method her --batch-size 32".split()) == 2
+    assert main(["train", "object_search", *flags]) == 2
+    assert asked == [small, dataclasses.replace(small, batch_size=32), load("object_search", small=True)]
+    (tmp_path / "first").mkdir()
+    configuration.write(tmp_path / "first", Description(small, [0], "a house", {}, "cpu"))
+    assert main("train --resume first --small".split()) == 2
+    assert "--small: a run that goes on has its own; leave the flag out" in capsys.readouterr().err
 
 
 def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeypatch, capsys):
