@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data import archives, pictures
+from infogoal_jax.data import archives, members, pictures
 from infogoal_jax.data.archives import user_cache
+from infogoal_jax.data.members import Member
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.files import read_bytes
 from infogoal_jax.stopping import temporary
@@ -22,6 +23,13 @@ SIZE = 64
 CROP_SIZE = 32  # As in CIFAR-10, so that either is as blurred as the other when it is enlarged.
 SHIPPED_CROPS = Path(__file__).parent / "files" / "backgrounds"
 CROPS_FILE = "photographs.npz"
+CROPS = {
+    "train": Member("uint8", ("training crops", "rows of pixels", "columns of pixels", 3)),
+    "test": Member("uint8", ("test crops", "rows of pixels", "columns of pixels", 3)),
+    "train_photographs": Member("text", ("training photographs",)),
+    "test_photographs": Member("text", ("test photographs",)),
+}
+"""The crops, and the photographs that they were cut from."""
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
 CIFAR10_URL = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
 CIFAR10_SHA256 = "c4a38c50a1bc5f3a1c5537f2155ab9d68f9f25eb1ed8d9ddda3db29a59bca1dd"
@@ -96,14 +104,7 @@ def _chosen(total: int, count: int) -> np.ndarray:
 def _read_crops(folder: Path, count: int) -> Backgrounds:
     """Crops of photographs, as `tools/build_backgrounds.py` writes them."""
     with archives.naming("backgrounds", folder / CROPS_FILE, REMEDY):
-        archive = archives.read(folder / CROPS_FILE, REMEDY)
-        missing = sorted({"train", "test", "train_photographs", "test_photographs"} - archive.sizes.keys())
-        require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
-        train, test = (archives.member(archive, name, REMEDY) for name in ("train", "test"))
-        for crops in (train, test):
-            fits = crops.dtype == np.uint8 and crops.ndim == 4 and crops.shape[3] == 3 and crops.size > 0
-            require(fits, "crops", f"{crops.dtype} {crops.shape}", f"should be uint8 [N, H, W, 3]; {REMEDY}")
-        names = (archives.member(archive, f"{use}_photographs", REMEDY) for use in ("train", "test"))
+        train, test, *names = members.read_file(folder / CROPS_FILE, CROPS, REMEDY).values()
         photographs = {name for each in names for name in each.ravel().tolist()}
     train, test = (
         np.stack([pictures.resized(crops[index], SIZE, SIZE) for index in _chosen(len(crops), count)])

@@ -5,7 +5,6 @@ list. An error is what makes the data unusable or a goal impossible. A warning i
 positions. Each image is read once.
 """
 
-import dataclasses
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -13,20 +12,12 @@ from pathlib import Path
 
 from infogoal_jax.data import active_vision, pictures
 from infogoal_jax.data.active_vision import DEFAULT_MIN_BOX_SIZE, MAX_DIFFICULTY, Annotation, Report
+from infogoal_jax.data.members import Finding
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import read_text
 
 Sizes = Mapping[str, tuple[int, int]]
 """Width and height of each image that can be decoded, by name."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One fault: `severity` is "error" or "warning", `where` the file or the image, `problem` what is wrong with it."""
-
-    severity: str
-    where: str
-    problem: str
 
 
 def check_active_vision(path: str | os.PathLike) -> list[Finding]:

@@ -14,19 +14,29 @@ The layouts that `ogbench.load_dataset` makes in memory are read too: compact, w
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from infogoal_jax.data import archives
-from infogoal_jax.data.check import Finding
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.data.members import Fault, Finding, Member, check, check_file, fitting, limited, missing
+from infogoal_jax.errors import UserError, require
 
 REMEDY = "give an npz with observations, actions and terminals (docs/reference/datasets.md)"
-MEMBERS = ("observations", "actions", "terminals")
+VECTORS = Member("float", ("rows", "numbers of an observation"))
+IMAGES = Member("uint8", ("rows", "rows of pixels", "columns of pixels", "channels"))
+GOAL = Member("number", ("rows", "numbers of a goal"), needed=False)
+SCHEMA = {
+    "observations": VECTORS,
+    "actions": Member("float", ("rows", "numbers of an action")),
+    "terminals": Member("0 or 1", ("rows",)),
+    "achieved_goals": GOAL,
+    "desired_goals": GOAL,
+    "valids": Member("0 or 1", ("rows",), needed=False),
+    "next_observations": VECTORS._replace(needed=False),
+}
 GOALS = ("achieved_goals", "desired_goals")
-READ = (*MEMBERS, *GOALS, "valids", "next_observations")
 OTHERS = ("qpos", "qvel", "button_states", "rewards", "masks", "tasks")
 """Members of OGBench's files that nothing here needs."""
 WITHIN = 1e-5
@@ -49,12 +59,11 @@ class Episodes:
     """float32 [N, D]; None: unknown."""
 
     def __post_init__(self):
-        check(faults_of(self.members()))
-        for name in ("observations", "actions", *GOALS):
-            array = getattr(self, name)
-            if array is not None and array.dtype != np.uint8:
-                object.__setattr__(self, name, np.asarray(array, np.float32))
-        object.__setattr__(self, "last", np.asarray(self.last, bool))
+        members = {name: as_array(name, array) for name, array in self.members().items()}
+        check((*faults_of(members), *faults_of_ends(members["terminals"])))
+        object.__setattr__(self, "last", members.pop("terminals").astype(bool))
+        for name, array in members.items():
+            object.__setattr__(self, name, array if array.dtype == np.uint8 else np.asarray(array, np.float32))
 
     def members(self) -> dict[str, np.ndarray]:
         """The members of a file of them."""
@@ -77,9 +86,7 @@ def load(path: str | os.PathLike) -> Episodes:
     """The episodes of a file. Raises `UserError`, naming the file, for the first thing that is wrong with it."""
     with archives.naming("dataset", path, REMEDY):
         archive = archives.read(path, REMEDY)
-        missing = [name for name in MEMBERS if name not in archive.sizes]
-        require(not missing, "members", list(archive.sizes), f"has no {', '.join(missing)}; {REMEDY}")
-        return of_arrays({name: archives.member(archive, name, REMEDY) for name in READ if name in archive.sizes})
+        return of_arrays({name: archives.member(archive, name, REMEDY) for name in SCHEMA if name in archive.sizes})
 
 
 def save(path: str | os.PathLike, episodes: Episodes) -> None:
@@ -93,10 +100,8 @@ def of_arrays(arrays: Mapping[str, Any]) -> Episodes:
     """The episodes of arrays by name: as they stand in a file, or as `ogbench.load_dataset` gives them. Raises
     `UserError`, naming the array, for what does not fit together."""
     require(isinstance(arrays, Mapping), "arrays", type(arrays).__name__, f"give arrays by their names: {REMEDY}")
-    missing = [name for name in MEMBERS if name not in arrays]
-    require(not missing, "arrays", list(arrays), f"has no {', '.join(missing)}; {REMEDY}")
-    found = {name: as_array(name, arrays[name]) for name in READ if name in arrays}
-    check(faults_of_arrays(found))
+    found = {name: as_array(name, arrays[name]) for name in SCHEMA if name in arrays}
+    check((*missing(found, SCHEMA, REMEDY), *faults_of(found)))
     last = found.pop("terminals")
     if "next_observations" in found:
         return regular(found, last)
@@ -115,23 +120,11 @@ def as_array(name: str, value: Any) -> np.ndarray:
         raise UserError(f"{name}: give an array, not {type(value).__name__} of several shapes") from error
 
 
-def check(faults: Iterator[tuple[str, str]]) -> None:
-    """Raise `UserError` for the first of these faults, if there is one."""
-    for where, problem in faults:
-        raise UserError(f"{where}: {problem}")
-
-
 def regular(found: dict[str, np.ndarray], last: np.ndarray) -> Episodes:
     """The episodes of transitions: `last` marks those that an episode ends with, whose next observation is its last
     one."""
     following = found.pop("next_observations")
     observations = found["observations"]
-    require(
-        following.shape == observations.shape,
-        "next_observations",
-        list(following.shape),
-        f"give as many as observations, {list(observations.shape)}",
-    )
     unknown = [name for name in GOALS if name in found]
     require(not unknown, "next_observations", unknown, "goals after the last transitions are unknown: leave it out")
     ends = np.flatnonzero(last)
@@ -155,79 +148,44 @@ def is_one(path: str | os.PathLike) -> bool:
         names = {*archives.read(path, REMEDY, version=None).sizes}
     except (OSError, UserError):
         return False
-    return bool({*MEMBERS} & names) and "frames" not in names
+    return bool({"observations", "actions", "terminals"} & names) and "frames" not in names
 
 
 def check_episodes(path: str | os.PathLike) -> list[Finding]:
     """Everything that is wrong with the file at `path`, in one pass; empty if there is nothing."""
-    try:
-        with archives.naming("dataset", path, REMEDY):
-            archive = archives.read(path, REMEDY)
-    except UserError as error:
-        return [Finding("error", str(path), str(error).removeprefix(f"dataset = {str(path)!r}: "))]
-    findings, members = [], {}
-    for name in archive.sizes:
-        if name in READ:
-            try:
-                members[name] = archives.member(archive, name, REMEDY)
-            except UserError as error:
-                findings.append(Finding("error", f"{path}: {name}", str(error).removeprefix(f"{name} = ")))
-        elif name not in OTHERS:
-            where = f"{path}: {name}"
-            findings.append(Finding("warning", where, f"no such member: it is not read.{nearest(name, list(READ))}"))
-    if "next_observations" in members or "valids" in members:
-        faults = [*faults_of_arrays(members)]
-        if faults:
-            return [*findings, *(Finding("error", f"{path}: {where}", problem) for where, problem in faults)]
+    return check_file(path, SCHEMA, REMEDY, faults_of_file, ignored=OTHERS)
+
+
+def faults_of_file(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
+    """Every fault of the members of a file in any of the layouts."""
+    faults = [*faults_of(members)]
+    yield from faults
+    if not {"valids", "next_observations"} & members.keys():
+        yield from faults_of_ends(members.get("terminals", np.zeros(0)))
+    elif not faults and not [*missing(members, SCHEMA, REMEDY)]:
         try:
-            members = of_arrays(members).members()
+            of_arrays(members)
         except UserError as error:
-            return [*findings, Finding("error", str(path), str(error))]
-    faults = faults_of(members, archive.sizes)
-    findings += [Finding("error", f"{path}: {where}", problem) for where, problem in faults]
-    if not any(finding.severity == "error" for finding in findings):
-        findings += [Finding("warning", f"{path}: {where}", problem) for where, problem in remarks_on(members)]
-    return sorted(findings, key=lambda finding: finding.severity)
+            yield "episodes", str(error)
 
 
-def faults_of(members: Mapping[str, np.ndarray], unreadable: Iterable[str] = ()) -> Iterator[tuple[str, str]]:
-    """Every fault of these members of a file: where, and what is wrong with the remedy. unreadable: names of members
-    whose fault is known."""
-    wrong = False
-    for name in MEMBERS:
-        if name not in members and name not in unreadable:
-            yield name, f"is missing; {REMEDY}"
-    for fault in faults_of_arrays(members):
-        wrong |= fault[0] == "lengths"
-        yield fault
-    terminals = members.get("terminals")
-    if not wrong and isinstance(terminals, np.ndarray):
-        yield from faults_of_ends(terminals)
-
-
-def faults_of_arrays(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
+def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """The faults of these arrays, each by itself, and of their lengths."""
-    lengths = {}
-    for name, array in members.items():
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
-            yield name, f"is {getattr(array, 'dtype', type(array).__name__)}; give numbers"
-            continue
-        if array.ndim == 0 or not array.size:
-            yield name, f"has the shape {list(array.shape)}; give one row for each observation"
-            continue
-        lengths[name] = len(array)
-        yield from SHAPES[name](name, array)
-        if array.dtype.kind == "f":
-            with np.errstate(over="ignore"):
-                wrong = ~np.isfinite(array.astype(np.float32)).reshape(len(array), -1).all(1)
-            if wrong.any():
-                yield (
-                    f"{name}[{np.flatnonzero(wrong)[0]}]",
-                    f"is not finite as float32, as {wrong.sum():,} of {len(array):,} rows; leave these episodes out",
-                )
-    if len(set(lengths.values())) > 1:
-        shown = ", ".join(f"{name} {length:,}" for name, length in lengths.items())
-        yield "lengths", f"disagree: {shown}; give each observation an action and a terminal"
+    images = "observations" in members and members["observations"].dtype == np.uint8
+    seen = IMAGES if images else VECTORS
+    found, lengths, faults = fitting(
+        members, SCHEMA | {"observations": seen, "next_observations": seen._replace(needed=False)}
+    )
+    yield from limited(faults)
+    if lengths.get("channels", 0) > lengths.get("rows of pixels", 0):
+        yield "observations", f"is {list(found['observations'].shape)}, more channels than rows; give [N, H, W, C]"
+    beyond = (np.abs(found.get("actions", np.zeros((0, 1)))) > 1 + WITHIN).any(1)
+    for row in np.flatnonzero(beyond)[:1]:
+        given = f"is {found['actions'][row].tolist()}, and {beyond.sum():,} rows go beyond -1 to 1"
+        yield f"actions[{row}]", f"{given}; divide by the largest action"
+    for name in ("terminals", "valids"):
+        for row in np.flatnonzero(~np.isin(found.get(name, 0), (0, 1)))[:1]:
+            yield f"{name}[{row}]", f"is {found[name][row]}; give 0 or 1"
 
 
 def faults_of_ends(terminals: np.ndarray) -> Iterator[tuple[str, str]]:
@@ -243,64 +201,6 @@ def faults_of_ends(terminals: np.ndarray) -> Iterator[tuple[str, str]]:
         yield f"terminals[{len(terminals) - 1}]", f"is 0: the last {left:,} observations belong to no episode; give 1"
     if (np.diff(ends, prepend=-1) < 2).all():
         yield "terminals", "no episode has a step; mark the last observation of each alone"
-
-
-def vectors(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
-    """What is wrong with vectors [N, D]."""
-    if array.ndim != 2 or array.dtype.kind == "b":
-        yield name, f"is {array.dtype} {list(array.shape)}; give float32 [N, D]"
-
-
-def observed(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
-    """What is wrong with observations."""
-    image = array.dtype == np.uint8 and array.ndim == 4
-    if image and array.shape[3] > array.shape[1]:
-        yield name, f"is uint8 {list(array.shape)}, more channels than rows; give [N, H, W, C]"
-    if not image and (array.ndim != 2 or array.dtype.kind != "f"):
-        yield name, f"is {array.dtype} {list(array.shape)}; give vectors float32 [N, F], or images uint8 [N, H, W, C]"
-
-
-def acted(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
-    """What is wrong with actions."""
-    if array.ndim != 2 or array.dtype.kind != "f":
-        yield name, f"is {array.dtype} {list(array.shape)}; give vectors float32 [N, A] from -1 to 1"
-        return
-    beyond = (np.abs(array) > 1 + WITHIN).any(1)
-    if beyond.any():
-        first = np.flatnonzero(beyond)[0]
-        yield (
-            f"{name}[{first}]",
-            (f"is {array[first].tolist()}, and {beyond.sum():,} rows go beyond -1 to 1; divide by the largest action"),
-        )
-
-
-def marked(name: str, array: np.ndarray) -> Iterator[tuple[str, str]]:
-    """What is wrong with marks of 0 and 1."""
-    if array.ndim != 1 or not np.isin(array, (0, 1)).all():
-        yield name, f"is {array.dtype} {list(array.shape)}; give 0 or 1 for each observation, [N]"
-
-
-SHAPES: dict[str, Callable[[str, np.ndarray], Iterator[tuple[str, str]]]] = {
-    "observations": observed,
-    "actions": acted,
-    "terminals": marked,
-    "achieved_goals": vectors,
-    "desired_goals": vectors,
-    "valids": marked,
-    "next_observations": observed,
-}
-
-
-def remarks_on(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
-    """What may surprise in a file without faults."""
-    wide = [name for name, array in members.items() if array.dtype == np.float64 and name != "terminals"]
-    if wide:
-        yield ", ".join(wide), "is float64, which is rounded to float32"
-    lengths = np.diff(np.flatnonzero(members["terminals"]), prepend=-1) - 1
-    if len(lengths) == 1:
-        yield "terminals", f"one episode of {lengths[0]:,} steps; hindsight looks ahead within its episode"
-    if (lengths == 0).any():
-        yield "terminals", f"{(lengths == 0).sum():,} of {len(lengths):,} episodes have no step"
 
 
 def describe(episodes: Episodes) -> str:

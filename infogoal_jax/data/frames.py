@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.data import archives, frames_check
+from infogoal_jax.data.members import read
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import from_json
 
@@ -91,7 +92,7 @@ def next_state(dataset: FrameDataset) -> np.ndarray:
 
 
 def members_of(dataset: FrameDataset) -> dict[str, Any]:
-    """The members of the file: the fields by their names, without those that are not known; small ones first."""
+    """The members of the file: the fields by their names, without those that are not known."""
     members = {name: getattr(dataset, name) for name in frames_check.SCHEMA if name != "format_version"}
     try:
         members |= {"format_version": frames_check.FORMAT_VERSION, "about": json.dumps(dataset.about)}
@@ -101,11 +102,11 @@ def members_of(dataset: FrameDataset) -> dict[str, Any]:
             "lists"
         ) from error
     members |= {name: np.array(getattr(dataset, name), np.str_) for name in TEXTS}
-    needed = {name for name, (_, _, needed) in frames_check.SCHEMA.items() if needed}
-    given = [
-        name for name in frames_check.SCHEMA if name in needed or (members[name] is not None and np.size(members[name]))
-    ]
-    return {name: np.asarray(members[name]) for name in given}
+    return {
+        name: np.asarray(members[name])
+        for name, member in frames_check.SCHEMA.items()
+        if member.needed is True or (members[name] is not None and np.size(members[name]))
+    }
 
 
 def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
@@ -115,18 +116,18 @@ def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
     Raises `UserError` if the parts do not belong together (nothing is written then), or if the disk refuses.
     """
     members = members_of(dataset)
-    frames_check.stop_at_first(path, frames_check.member_faults(members, set(members)))
+    frames_check.check_members(path, members)
     archives.save(path, members, "image dataset", zipfile.ZIP_DEFLATED, DEFLATE_LEVEL)
 
 
 def load(path: str | os.PathLike) -> FrameDataset:
     """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and
     for its first error."""
-    with archives.naming("image dataset", path, frames_check.GIVE_A_FILE):
+    with archives.naming("image dataset", path, frames_check.REMEDY):
         archive = archives.read(path, frames_check.REMEDY, version=None)
-    members, unreadable = frames_check.read_members(archive)
-    frames_check.stop_at_first(path, iter(unreadable))
-    frames_check.stop_at_first(path, frames_check.member_faults(members, set(archive.sizes)))
+    members, unreadable = read(archive, frames_check.SCHEMA, frames_check.REMEDY)
+    frames_check.stop_at_first(path, unreadable)
+    frames_check.check_members(path, members)
     fields = {name: members.get(name) for name in frames_check.SCHEMA if name != "format_version"}
     fields |= {name: tuple(members[name].tolist()) if name in members else () for name in TEXTS}
     return FrameDataset(**(fields | {"about": from_json(str(members["about"]))}))
@@ -152,7 +153,7 @@ def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute 
     )
     dataset = build()
     members = members_of(dataset)
-    frames_check.stop_at_first(name, frames_check.member_faults(members, set(members)))
+    frames_check.check_members(name, members)
     try:
         archives.write(path, members, zipfile.ZIP_DEFLATED, DEFLATE_LEVEL)
     except OSError as error:

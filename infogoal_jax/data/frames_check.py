@@ -6,56 +6,36 @@ An error is what makes the data unusable or would make a policy learn moves that
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from infogoal_jax.data import archives
-from infogoal_jax.data.check import Finding
-from infogoal_jax.errors import UserError, nearest, typed
+from infogoal_jax.data.members import Fault, Finding, Member, check_file, fitting, limited, missing
+from infogoal_jax.errors import UserError, typed
 from infogoal_jax.files import from_json
 
 FORMAT_VERSION = 1
-REMEDY = "write it again with infogoal_jax.data.frames.save or infogoal data import (docs/reference/datasets.md)"
-"""What helps where a file is damaged."""
-GIVE_A_FILE = "give an npz of `infogoal data import` (docs/reference/datasets.md)"
-"""What helps where there is no file that can be read."""
-
-# Member -> type, shape, whether it must be there. A letter stands for a length that all members share; a tuple for
-# lengths that may be had.
-SCHEMA: dict[str, tuple[str, tuple, bool]] = {
-    "format_version": ("integer", (), True),
-    "about": ("text", (), True),
-    "actions": ("text", ("A",), True),
-    "objects": ("text", ("O",), False),
-    "joint_names": ("text", ("J",), False),
-    "state": ("int32", ("K",), True),
-    "frame": ("int32", ("M",), True),
-    "action": ("int32", ("M",), True),
-    "next_frame": ("int32", ("M",), True),
-    "trajectory": ("int32", ("M",), True),
-    "time": ("int32", ("M",), True),
-    "terminal": ("bool", ("M",), True),
-    "rotation": ("float32", ("K", 3, 3), False),
-    "joints": ("float32", ("K", "J"), False),
-    "position": ("float32", ("K", (2, 3)), False),
-    "detected": ("bool", ("K", "O"), False),
-    "frames": ("uint8", ("K", "H", "W", (1, 3)), True),
+REMEDY = "give an npz of `infogoal data import` or of infogoal_jax.data.frames.save (docs/reference/datasets.md)"
+SCHEMA = {
+    "frames": Member("uint8", ("frames", "rows of pixels", "columns of pixels", (1, 3))),
+    "format_version": Member("integer", ()),
+    "about": Member("text", ()),
+    "actions": Member("text", ("actions",)),
+    "objects": Member("text", ("objects",), needed="detected"),
+    "joint_names": Member("text", ("joints",), needed="joints"),
+    "state": Member("int32", ("frames",)),
+    "frame": Member("int32", ("moves",)),
+    "action": Member("int32", ("moves",)),
+    "next_frame": Member("int32", ("moves",)),
+    "trajectory": Member("int32", ("moves",)),
+    "time": Member("int32", ("moves",)),
+    "terminal": Member("bool", ("moves",)),
+    "rotation": Member("float32", ("frames", 3, 3), needed=False),
+    "joints": Member("float32", ("frames", "joints"), needed="joint_names"),
+    "position": Member("float32", ("frames", (2, 3)), needed=False),
+    "detected": Member("bool", ("frames", "objects"), needed="objects"),
 }
-LENGTHS = {
-    "K": "frames",
-    "M": "moves",
-    "A": "actions",
-    "O": "objects",
-    "J": "joints",
-    "H": "pixels of height",
-    "W": "pixels of width",
-}
-Fault = tuple[str, str]
-"""Where in the file, such as `action[3]`, and what is wrong, with the remedy."""
-MOST_FINDINGS = 10
-"""Rows that are listed of one kind of fault; the rest is counted."""
 ROTATION_WITHIN = 1e-3
 """Entries of R R^T - 1, and the determinant, may be off by this much: float32, or poses written down with four
 digits."""
@@ -63,100 +43,19 @@ digits."""
 
 def check_frames(path: str | os.PathLike) -> list[Finding]:
     """Every fault of the file at `path`, errors first; empty if there is none."""
-    try:
-        with archives.naming("image dataset", path, GIVE_A_FILE):
-            archive = archives.read(path, REMEDY, version=None)
-    except UserError as error:
-        return [Finding("error", str(path), str(error).removeprefix(f"image dataset = {str(path)!r}: "))]
-    members, unreadable = read_members(archive)
-    faults = [*unreadable, *member_faults(members, set(archive.sizes))]
-    errors = [Finding("error", f"{path}: {where}", problem) for where, problem in faults]
-    surprising = (*unknown_members(archive), *limited(unseen_objects(members)))
-    return errors + [Finding("warning", f"{path}: {where}", problem) for where, problem in surprising]
+    return check_file(path, SCHEMA, REMEDY, member_faults, unseen_objects)
 
 
-def read_members(archive: archives.Archive) -> tuple[dict[str, np.ndarray], list[Fault]]:
-    """The members of the schema that can be read, and those that cannot: damaged, or pickled objects."""
-    members, faults = {}, []
-    for name in SCHEMA:
-        if name in archive.sizes:
-            try:
-                members[name] = archives.member(archive, name, REMEDY)
-            except UserError as error:
-                faults.append((name, str(error).removeprefix(f"{name} = ")))
-    return members, faults
-
-
-def fitting_members(members: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, int], list[Fault]]:
-    """The members of the right type and shape, the lengths that they share, and what is wrong with the others."""
-    fitting: dict[str, np.ndarray] = {}
-    lengths: dict[str, tuple[int, str]] = {}
-    faults = []
-    for name in sorted(
-        set(SCHEMA) & set(members), key=lambda name: (name != "frames", list(SCHEMA).index(name))
-    ):  # frames say what K is
-        kind, shape, _ = SCHEMA[name]
-        array = np.asarray(members[name])
-        right = {"text": array.dtype.kind == "U", "integer": array.dtype.kind in "iu"}.get(kind, array.dtype == kind)
-        if not right:
-            faults.append(
-                (
-                    name,
-                    f"is {array.dtype}; give {kind}" + ("" if kind in ("text", "integer") else f": .astype(np.{kind})"),
-                )
-            )
-        problem = shape_problem(array.shape, shape, lengths)
-        if problem:
-            faults.append((name, problem))
-        if right and not problem:
-            fitting[name] = array
-            for letter, length in zip(shape, array.shape, strict=True):
-                if letter in LENGTHS:
-                    lengths.setdefault(letter, (length, name))
-    return fitting, {letter: length for letter, (length, _) in lengths.items()}, faults
-
-
-def shape_problem(found: tuple[int, ...], shape: tuple, lengths: Mapping[str, tuple[int, str]]) -> str:
-    """What is wrong with a shape, or nothing. lengths: letter -> length so far, and the member that it comes from."""
-    words = (
-        "[" + ", ".join(" or ".join(map(str, part)) if isinstance(part, tuple) else str(part) for part in shape) + "]"
-    )
-    if len(found) != len(shape):
-        return f"has the shape {list(found)}; give {words}"
-    for length, part in zip(found, shape, strict=True):
-        if part in lengths and length != lengths[part][0]:
-            wanted, source = lengths[part]
-            return f"has {length} {LENGTHS[part]}, but {source} has {wanted}; give {words} with one {part} for all"
-        if part in LENGTHS and length == 0:
-            return f"has no {LENGTHS[part]}; give at least one"
-        if (isinstance(part, tuple) and length not in part) or (isinstance(part, int) and length != part):
-            return f"has the shape {list(found)}; give {words}"
-    return ""
-
-
-def member_faults(members: Mapping[str, np.ndarray], present: set[str]) -> Iterator[Fault]:
-    """Every error in what the members say. present: names of all members, those that cannot be read too."""
-    for name, (_, _, needed) in SCHEMA.items():
-        if needed and name not in present:
-            yield name, f"missing; {REMEDY}"
-    yield from pair_faults(present)
-    fitting, lengths, faults = fitting_members(members)
-    yield from faults
-    yield from text_faults(fitting)
-    yield from limited(value_faults(fitting, lengths))
-    if {"frame", "next_frame", "trajectory", "time", "terminal"} <= set(fitting):
-        yield from limited(trajectory_faults(fitting))
-    if {"state", "frame", "action", "next_frame"} <= set(fitting):
-        yield from limited(contradiction_faults(fitting))
-
-
-def pair_faults(present: set[str]) -> Iterator[Fault]:
-    """Members that make sense together only."""
-    for values, names in (("detected", "objects"), ("joints", "joint_names")):
-        if values in present and names not in present:
-            yield names, f"missing, but there is {values}; give a name for each column"
-        if names in present and values not in present:
-            yield values, f"missing, but there is {names}; leave both out or give both"
+def member_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
+    """Every error in what the members say."""
+    found, lengths, faults = fitting(members, SCHEMA)
+    yield from limited(faults)
+    yield from text_faults(found)
+    yield from limited(value_faults(found, lengths))
+    if {"frame", "next_frame", "trajectory", "time", "terminal"} <= set(found):
+        yield from limited(trajectory_faults(found))
+    if {"state", "frame", "action", "next_frame"} <= set(found):
+        yield from limited(contradiction_faults(found))
 
 
 def text_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
@@ -198,12 +97,11 @@ def about_faults(about: Any) -> Iterator[Fault]:
 
 
 def value_faults(members: Mapping[str, np.ndarray], lengths: Mapping[str, int]) -> Iterator[Fault]:
-    """Numbers that cannot be: indices out of range, states with gaps, matrices that are no rotations, numbers that are
-    not finite."""
-    for name, letter in (("frame", "K"), ("next_frame", "K"), ("action", "A")):
-        if name in members and letter in lengths:
-            outside = np.flatnonzero((members[name] < 0) | (members[name] >= lengths[letter]))
-            last = lengths[letter] - 1
+    """Numbers that cannot be: indices out of range, states with gaps, matrices that are no rotations."""
+    for name, length in (("frame", "frames"), ("next_frame", "frames"), ("action", "actions")):
+        if name in members and length in lengths:
+            outside = np.flatnonzero((members[name] < 0) | (members[name] >= lengths[length]))
+            last = lengths[length] - 1
             yield from (
                 (f"{name}[{row}]", f"is {members[name][row]}, which is not there; give 0 to {last}") for row in outside
             )
@@ -216,27 +114,13 @@ def value_faults(members: Mapping[str, np.ndarray], lengths: Mapping[str, int]) 
             row = int(np.flatnonzero(state == used[place])[0])
             below = used[place - 1] if place else -1
             yield f"state[{row}]", f"is {used[place]}, but no frame shows state {below + 1}; number states without gaps"
-    for name, unit in (("rotation", ""), ("joints", "radians"), ("position", "metres")):
-        if name in members:
-            values = members[name].reshape(len(members[name]), -1)
-            broken = np.flatnonzero(~np.isfinite(values).all(1))
-            if name == "rotation":
-                yield from (
-                    (f"rotation[{row}]", "is no rotation; give orthogonal matrices of determinant 1")
-                    for row in not_rotations(members[name])
-                )
-            else:
-                yield from (
-                    (f"{name}[{row}]", f"is {values[row].tolist()}; give finite numbers, {unit}, or leave {name} out")
-                    for row in broken
-                )
+    for row in not_rotations(members["rotation"]) if "rotation" in members else ():
+        yield f"rotation[{row}]", "is no rotation; give orthogonal matrices of determinant 1"
 
 
 def not_rotations(rotation: np.ndarray) -> np.ndarray:
-    """Rows of [K, 3, 3] that are not orthogonal, not of determinant 1 (both within 1e-3) or not finite."""
+    """Rows of [K, 3, 3] that are not orthogonal or not of determinant 1, both within 1e-3."""
     matrix = np.asarray(rotation, np.float64)
-    finite = np.isfinite(matrix).all((1, 2))
-    matrix = np.where(finite[:, None, None], matrix, 0)
     off = np.abs(matrix @ matrix.swapaxes(1, 2) - np.eye(3)).max((1, 2))
     return np.flatnonzero((off > ROTATION_WITHIN) | (np.abs(np.linalg.det(matrix) - 1) > ROTATION_WITHIN))
 
@@ -308,36 +192,20 @@ def contradiction_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
         )
 
 
-def unknown_members(archive: archives.Archive) -> Iterator[Fault]:
-    """Members that nothing reads; a slip of the pen in the name of an optional one would go unnoticed."""
-    for name in archive.sizes:
-        if name not in SCHEMA:
-            yield name, f"nothing reads it.{nearest(name, list(SCHEMA))} Remove or rename it"
-
-
 def unseen_objects(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """Objects that no frame shows."""
-    fitting, _, _ = fitting_members(members)
-    if {"detected", "objects"} <= set(fitting):
-        for column in np.flatnonzero(~fitting["detected"].any(0)):
-            name = fitting["objects"].tolist()[column]
-            yield f"objects[{column}]", f"{name!r} is detected in no frame; it can be no goal"
+    found, _, _ = fitting(members, SCHEMA)
+    if {"detected", "objects"} <= set(found):
+        for column in np.flatnonzero(~found["detected"].any(0)):
+            yield f"objects[{column}]", f"{str(found['objects'][column])!r} is detected in no frame; it can be no goal"
 
 
-def limited(faults: Iterator[Fault]) -> Iterator[Fault]:
-    """The first `MOST_FINDINGS` faults of each member, and how many more there are."""
-    counts: dict[str, int] = {}
-    for where, problem in faults:
-        name = where.split("[")[0]
-        counts[name] = counts.get(name, 0) + 1
-        if counts[name] <= MOST_FINDINGS:
-            yield where, problem
-    for name, count in counts.items():
-        if count > MOST_FINDINGS:
-            yield name, f"{count - MOST_FINDINGS} more rows with such faults; mend the first ones and check again"
+def check_members(path: str | os.PathLike, members: Mapping[str, np.ndarray]) -> None:
+    """Raise the first fault of the members of a file as a `UserError`."""
+    stop_at_first(path, (*missing(members, SCHEMA, REMEDY), *member_faults(members)))
 
 
-def stop_at_first(path: str | os.PathLike, faults: Iterator[Fault]) -> None:
+def stop_at_first(path: str | os.PathLike, faults: Iterable[Fault]) -> None:
     """Raise the first fault as a `UserError`, in the words of `check_frames`."""
     for where, problem in faults:
         raise UserError(

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data import archives
+from infogoal_jax.data import archives, members
+from infogoal_jax.data.members import Member, check, fitting
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.files import from_json
 from infogoal_jax.goal_uses import MOST_GOALS
@@ -25,7 +26,16 @@ USES = ("grid", "train", "validation", "test")
 GRID, TRAIN, VALIDATION, TEST = range(4)
 GRID_TOLERANCE = 1e-4
 """Positions of the grid may be off by this much, in m."""
-FIELDS = ("task", "about", "spacing", "grid_low", "grid_shape", "uses", "positions", "images")
+SCHEMA = {
+    "task": Member("text", ()),
+    "about": Member("text", ()),
+    "spacing": Member("number", ()),
+    "grid_low": Member("number", (3,)),
+    "grid_shape": Member("integer", (3,)),
+    "images": Member("uint8", ("images", *IMAGE_SHAPE)),
+    "uses": Member("integer", ("images",)),
+    "positions": Member("number", ("images", 3)),
+}
 SHIPPED_FOLDER = Path(__file__).parent / "files" / "fetch"
 REMEDY = "build a bank: infogoal reproduce goal-images"
 
@@ -54,18 +64,11 @@ class GoalImages:
     """Where the images come from, in words: camera, seed, versions."""
 
     def __post_init__(self):
-        check_images(self.images)
-        positions, uses, low = np.asarray(self.positions), np.asarray(self.uses), np.asarray(self.grid_low)
-        count = len(self.images)
-        check_numbers("positions", positions, (count, 3))
-        check_numbers("grid_low", low, (3,))
-        described = f"{uses.dtype} {uses.shape}"
-        require(
-            uses.dtype.kind in "iu" and uses.shape == (count,),
-            "uses",
-            described,
-            f"give a whole number for each of the {count} images",
-        )
+        require(isinstance(self.about, dict), "about", type(self.about).__name__, "give a dict of words")
+        given = {name: np.asarray(getattr(self, name)) for name in SCHEMA if name != "about"}
+        check(fitting(given, SCHEMA)[2])
+        count, positions, uses, low = len(given["images"]), given["positions"], given["uses"], given["grid_low"]
+        require(count <= MOST_GOALS, "images", count, f"give at most {MOST_GOALS}; use a wider grid")
         strange = uses[(uses < 0) | (uses >= len(USES))]
         require(
             not len(strange),
@@ -74,11 +77,10 @@ class GoalImages:
             "give 0 (grid), 1 (train), 2 (validation) or 3 (test)",
         )
         require(bool((uses == TRAIN).any()), "uses", "no training goal", "give at least one image of use 1")
-        require(isinstance(self.about, dict), "about", type(self.about).__name__, "give a dict of words")
         spacing = float(self.spacing)
-        require(0 < spacing < math.inf, "spacing", spacing, "give a length greater than 0, in m")
+        require(spacing > 0, "spacing", spacing, "give a length greater than 0, in m")
         shape = tuple(int(length) for length in self.grid_shape)
-        require(len(shape) == 3 and min(shape) >= 1, "grid_shape", shape, "give three whole numbers of at least 1")
+        require(min(shape) >= 1, "grid_shape", shape, "give three whole numbers of at least 1")
         check_grid(positions, uses, low, spacing, shape)
         changes = {
             "images": read_only(self.images, np.uint8),
@@ -106,26 +108,6 @@ def grid_positions(low, spacing: float, shape: tuple[int, int, int]) -> np.ndarr
     """Positions [nx * ny * nz, 3] of a grid in C order, in m."""
     steps = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3)
     return np.asarray(low, float) + spacing * steps
-
-
-def check_images(images) -> None:
-    """Raise `UserError` unless these are uint8 [N, 64, 64, 3] and not too many."""
-    images = np.asarray(images)
-    fits = images.dtype == np.uint8 and images.ndim == 4 and images.shape[1:] == IMAGE_SHAPE
-    require(fits, "images", f"{images.dtype} {images.shape}", "give RGB images of 64 x 64, uint8 [N, 64, 64, 3]")
-    require(len(images) <= MOST_GOALS, "images", len(images), f"give at most {MOST_GOALS}; use a wider grid")
-
-
-def check_numbers(field: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Raise `UserError` unless these are finite numbers of this shape."""
-    require(
-        values.dtype.kind in "fiu" and values.shape == shape,
-        field,
-        f"{values.dtype} {values.shape}",
-        f"give numbers of the shape {shape}, in m",
-    )
-    finite = np.isfinite(values)
-    require(bool(finite.all()), field, str(values[~finite][0]) if not finite.all() else "", "give finite numbers, in m")
 
 
 def check_grid(
@@ -167,46 +149,15 @@ def load(path: str | os.PathLike, task: str) -> GoalImages:
     """Read the bank of a task. Raises `UserError` for a file that is missing, damaged, something else or of another
     task."""
     with archives.naming("goal images", path, REMEDY):
-        return GoalImages(**read_fields(archives.read(path, REMEDY), task))
-
-
-def read_fields(archive: archives.Archive, task: str) -> dict:
-    """The fields of a bank, those that say what it is before those that are large."""
-    fields = {}
-    missing = [field for field in FIELDS if field not in archive.sizes]
-    require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
-    largest = MOST_GOALS * math.prod(IMAGE_SHAPE) + 4096
-    longest = max(archive.sizes.values())
-    require(
-        longest <= largest,
-        "arrays",
-        f"one of {longest} bytes",
-        f"give at most {MOST_GOALS} images, uint8 [N, 64, 64, 3]",
-    )
-    for field in FIELDS:
-        fields[field] = archives.member(archive, field, REMEDY)
-        if field == "task":
-            found = str(fields["task"])
-            require(
-                found == task,
-                "task",
-                found,
-                f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}",
-            )
-    for field, shape in (("spacing", ()), ("grid_shape", (3,))):
-        values = fields[field]
-        kinds = "iu" if field == "grid_shape" else "fiu"
-        require(
-            values.dtype.kind in kinds and values.shape == shape,
-            field,
-            f"{values.dtype} {values.shape}",
-            f"give numbers of the shape {shape}",
-        )
-    try:
-        about = from_json(str(fields["about"]))
-    except ValueError as error:
-        raise UserError(f"about = {str(fields['about'])[:40]!r}: is no JSON ({error}); {REMEDY}") from error
-    return fields | {"task": task, "about": about, "spacing": float(fields["spacing"])}
+        fields = members.read_file(path, SCHEMA, REMEDY)
+        found = str(fields["task"])
+        remedy = f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}"
+        require(found == task, "task", found, remedy)
+        try:
+            about = from_json(str(fields["about"]))
+        except ValueError as error:
+            raise UserError(f"about = {str(fields['about'])[:40]!r}: is no JSON ({error}); {REMEDY}") from error
+        return GoalImages(**fields | {"task": task, "about": about})
 
 
 def save(path: str | os.PathLike, bank: GoalImages) -> None:
@@ -215,5 +166,5 @@ def save(path: str | os.PathLike, bank: GoalImages) -> None:
     Packed with LZMA: neighbouring goals share most of their pixels, and its window spans hundreds of images where that
     of deflate spans three.
     """
-    members = {field: json.dumps(bank.about) if field == "about" else getattr(bank, field) for field in FIELDS}
-    archives.save(path, members, "goal images", zipfile.ZIP_LZMA)
+    fields = {name: json.dumps(bank.about) if name == "about" else getattr(bank, name) for name in SCHEMA}
+    archives.save(path, fields, "goal images", zipfile.ZIP_LZMA)

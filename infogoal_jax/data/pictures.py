@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data import archives
+from infogoal_jax.data import archives, members
+from infogoal_jax.data.members import Member
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import read_bytes
 
@@ -45,15 +46,14 @@ def scene_pictures(
     fits."""
     key = cache_key(scene, names, image_size)
     path = Path(cache_dir or archives.user_cache()) / f"active_vision_{scene.name}_{key}.npz"
-    shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
-    try:
-        archive = archives.read(path, "it is made again")
-        content = tuple(archives.member(archive, name, "") for name in ("images", "sizes", "position"))
-        if tuple((array.shape, array.dtype.kind) for array in content) == tuple(zip(shapes, "uif", strict=True)):
-            return content
-    except (OSError, UserError):
-        pass  # absent or damaged: it is made again below
-    images, sizes = np.empty(shapes[0], np.uint8), np.empty(shapes[1], np.int32)
+    cached = {
+        "images": Member("uint8", (len(names), image_size, image_size)),
+        "sizes": Member("int32", (len(names), 2)),
+        "position": Member("float32", (len(names), 3), finite=False),
+    }
+    with contextlib.suppress(OSError, UserError):  # Absent or damaged: it is made again below.
+        return tuple(members.read_file(path, cached, "it is made again").values())
+    images, sizes = (np.empty(cached[name].shape, cached[name].kind) for name in ("images", "sizes"))
     for index, name in enumerate(names):
         images[index], sizes[index] = read_grey(scene / "jpg_rgb" / name, image_size)
     position = read_positions(scene, names)

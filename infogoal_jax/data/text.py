@@ -15,13 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from infogoal_jax.data import archives
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.data.members import Member, read_file
+from infogoal_jax.errors import UserError
 
 EMBEDDING_SIZE = 384
 SHIPPED_FILE = Path(__file__).parent / "files" / "text_embeddings.npz"
 OWN_FILE = "my_embeddings.npz"
 
-_FIELDS = ("texts", "vectors", "weights_sha256", "model")
+_SCHEMA = {
+    "texts": Member("text", ("texts",)),
+    "vectors": Member("float32", ("texts", EMBEDDING_SIZE)),
+    "weights_sha256": Member("text", ()),
+    "model": Member("text", ()),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,23 +86,13 @@ def load(path: str | os.PathLike) -> TextEmbeddings:
     again = "take it away and make it again" if Path(path).exists() else "make it"
     remedy = f"{again}: infogoal data embed 'a red mug' --out {shlex.quote(str(path))}"
     with archives.naming("text embeddings", path, remedy):
-        archive = archives.read(path, remedy)
-        missing = [field for field in _FIELDS if field not in archive.sizes]
-        require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {remedy}")
-        texts, vectors, weights_sha256, model = (archives.member(archive, field, remedy) for field in _FIELDS)
-        fits = texts.dtype.kind == "U" and texts.ndim == 1 and vectors.dtype == np.float32
-        require(
-            fits,
-            "arrays",
-            f"{texts.dtype} {texts.shape}, {vectors.dtype}",
-            f"not texts [M] and float32 vectors [M, 384]; {remedy}",
-        )
-        return TextEmbeddings(tuple(texts.tolist()), vectors, str(weights_sha256[()]), str(model[()]))
+        texts, vectors, weights_sha256, model = read_file(path, _SCHEMA, remedy).values()
+        return TextEmbeddings(tuple(texts.tolist()), vectors, str(weights_sha256), str(model))
 
 
 def save(path: str | os.PathLike, embeddings: TextEmbeddings) -> None:
     """Writes text embeddings to an npz file. The file at `path` is always whole: the old one or the new one."""
-    members = {field: np.asarray(getattr(embeddings, field)) for field in _FIELDS}
+    members = {field: np.asarray(getattr(embeddings, field)) for field in _SCHEMA}
     archives.save(path, members | {"texts": np.array(embeddings.texts, dtype=np.str_)}, "text embeddings")
 
 

@@ -10,7 +10,7 @@ from hand_made_frames import MOVES, planted, small
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import check as check_module
-from infogoal_jax.data import frames, frames_check
+from infogoal_jax.data import frames, frames_check, members
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.data.check import check_active_vision
 from infogoal_jax.errors import UserError
@@ -147,7 +147,7 @@ FAULTS = {  # What is changed in a sound file, and what the message must say: wh
     "floats in frames": ({"frames": np.zeros((6, 8, 10, 3))}, ["frames: is float64", "uint8"]),
     "no channels": (
         {"frames": np.zeros((6, 8, 10), np.uint8)},
-        ["frames: has the shape [6, 8, 10]", "[K, H, W, 1 or 3]"],
+        ["frames: has the shape [6, 8, 10]", "[frames, rows of pixels, columns of pixels, 1 or 3]"],
     ),
     "four channels": ({"frames": np.zeros((6, 8, 10, 4), np.uint8)}, ["frames: has the shape [6, 8, 10, 4]"]),
     "fewer states than frames": ({"state": np.arange(5, dtype=np.int32)}, ["state: has 5 frames, but frames has 6"]),
@@ -179,8 +179,8 @@ FAULTS = {  # What is changed in a sound file, and what the message must say: wh
         ["rotation[1]: is no rotation; give orthogonal"],
     ),
     "a mirror": (changed("rotation", 5, MIRROR), ["rotation[5]: is no rotation"]),
-    "an infinite joint": (changed("joints", 2, np.inf), ["joints[2]: is [inf, inf]; give finite numbers, radians"]),
-    "no position": (changed("position", 0, np.nan), ["position[0]: is [nan, nan]; give finite numbers, metres"]),
+    "an infinite joint": (changed("joints", 2, np.inf), ["joints[2]: is [inf, inf]; give finite numbers"]),
+    "no position": (changed("position", 0, np.nan), ["position[0]: is [nan, nan]; give finite numbers"]),
     "about is no JSON": ({"about": np.array("by hand")}, ["about: is no JSON"]),
     "about without a name": (
         {"about": np.array('{"stand_in": true, "made_by": "x"}')},
@@ -251,5 +251,5 @@ def test_many_faults_of_one_kind_are_counted(tmp_path):
     assert len(frames_check.check_frames(tmp_path / "row.npz")) == 12
     planted(tmp_path / "long.npz", frame=np.full(50, 77, np.int32))
     problems = [f"{finding.where}: {finding.problem}" for finding in frames_check.check_frames(tmp_path / "long.npz")]
-    assert sum("frame[" in problem for problem in problems) == frames_check.MOST_FINDINGS
+    assert sum("frame[" in problem for problem in problems) == members.MOST_FAULTS
     assert any("frame: 40 more rows" in problem for problem in problems)

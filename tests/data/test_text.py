@@ -170,12 +170,12 @@ def test_files_that_are_something_else_are_user_errors(tmp_path):
     fields = dict(weights_sha256=np.array("0"), model=np.array("made up"))
     unit = np.eye(1, text.EMBEDDING_SIZE, dtype=np.float32)
     for texts, vectors, problem in [
-        (np.array(["a", "b"]), unit, "must have the shape"),  # more texts than vectors
+        (np.array(["a", "b"]), unit, "vectors: has 1 texts, but texts has 2"),  # more texts than vectors
         (np.array(["a"], object), unit, "texts = unreadable.*pickled"),
         (np.array(["a"]), 2.0 * unit, "length 1"),
-        (np.array(["a"]), np.nan * unit, "finite"),
-        (np.array(["a"]), unit[:, :-1], "must have the shape"),
-        (np.array(["a"]), unit.astype(np.int64), "float32 vectors"),
+        (np.array(["a"]), np.nan * unit, r"vectors\[0\].*finite"),
+        (np.array(["a"]), unit[:, :-1], r"vectors: has the shape \[1, 383\]; give \[texts, 384\]"),
+        (np.array(["a"]), unit.astype(np.int64), "vectors: is int64; give float32"),
     ]:
         np.savez(path, texts=texts, vectors=vectors, **fields)
         with pytest.raises(UserError, match=f"embeddings.npz.*{problem}"):

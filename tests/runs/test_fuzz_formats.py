@@ -186,7 +186,7 @@ def bank_members() -> dict[str, np.ndarray]:
         "uses": uses, "grid_low": np.zeros(3, np.float32), "spacing": 0.1, "grid_shape": np.array([2, 2, 2]),
         "about": json.dumps({"seed": 0}),
     }  # fmt: skip
-    return {name: np.asarray(values[name]) for name in goal_images.FIELDS}
+    return {name: np.asarray(values[name]) for name in goal_images.SCHEMA}
 
 
 def text_members() -> dict[str, np.ndarray]:
