@@ -14,21 +14,37 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
 
 from infogoal_jax.data import text
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.files import from_json, read_text
 from infogoal_jax.goal_uses import NO_USE, TEST, TRAINING, USES, VALIDATION
 
 SHIPPED_QUESTIONS = Path(__file__).parent / "files" / "shelf" / "questions.json"
 SHIPPED_EMBEDDINGS = SHIPPED_QUESTIONS.with_name("embeddings.npz")
 
-QUESTIONS_PER_OBJECT = 5
 QUESTIONS_OF_TEST_OBJECT = 4  # Sec. V-B.1: 20 test objects with four questions each.
 
-_OBJECT_USES = ("train", "test")
-_FORM = '{"objects": {name: {"room": ..., "use": "train" or "test", "questions": [five questions]}}}'
+_FORM = '{"room": ..., "use": "train" or "test", "questions": [five questions]}'
+Room = Annotated[str, msgspec.Meta(pattern=r"\S")]
+
+
+class Placed(msgspec.Struct, forbid_unknown_fields=True):
+    """An object of a file of a split."""
+
+    room: Room
+    use: Literal["train", "validation", "test"]
+
+
+class Asked(msgspec.Struct, forbid_unknown_fields=True):
+    """An object of a file of questions."""
+
+    room: Room
+    use: Literal["train", "test"]
+    questions: tuple[str, str, str, str, str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,39 +115,38 @@ AUTHORS_SPLIT = make_split(
 def load_split(path: str | os.PathLike) -> Split:
     """Split from a JSON file {"objects": {name: {"room": "kitchen", "use": "train" | "validation" | "test"}}}.
 
-    Raises UserError, which names the entry, when the file is not like that or has no training object.
+    Raises UserError, which names every entry that is wrong, when the file is not like that or has no training object.
     """
-    content = read_json("split", path)
-    entries = content.get("objects") if isinstance(content, dict) else None
-    if not isinstance(entries, dict) or not entries:
-        raise UserError(
-            f'split {path}: wants {{"objects": {{name: {{"room": ..., "use": ...}}}}}} with at least one object'
-        )
-    objects = {}
-    for name, entry in entries.items():
-        field = f"split {path}: objects[{name!r}]"
-        if not isinstance(entry, dict) or set(entry) != {"room", "use"}:
-            raise UserError(f'{field} is {entry!r}; it must have exactly "room" and "use"')
-        if not isinstance(entry["room"], str) or not entry["room"]:
-            raise UserError(f"{field}: room is {entry['room']!r}; it must be the name of a room")
-        if entry["use"] not in USES:
-            raise UserError(f"{field}: use is {entry['use']!r}; it must be one of {', '.join(USES)}")
-        objects[name] = (entry["room"], entry["use"])
-    split = make_split(objects)
-    if not split.train:
-        raise UserError(f"split {path}: no object has use 'train'; at least one must")
-    return split
+    objects = read_objects("split", path, Placed, '{"room": ..., "use": "train", "validation" or "test"}')
+    return make_split({name: (entry.room, entry.use) for name, entry in objects.items()})
 
 
-def read_json(what: str, path: str | os.PathLike, remedy: str = "") -> object:
-    """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is
-    and where."""
+def read_objects(what: str, path: str | os.PathLike, record: type, form: str) -> dict[str, Any]:
+    """The objects of a JSON file {"objects": {name: record}}, of which one at least is for training. Raises UserError,
+    which begins with what the file is and where. form: of a record, in words."""
+    file, form = f"{what} {path}", f'{{"objects": {{name: {form}}}}}'
     try:
-        return from_json(read_text(path), object_pairs_hook=without_repeats)
+        content = from_json(read_text(path), object_pairs_hook=without_repeats)
     except OSError as error:
-        raise UserError(f"{what} {path}: {error.strerror or error}; give the path of a readable JSON file") from error
+        raise UserError(f"{file}: {error.strerror or error}; give the path of a readable JSON file") from error
     except ValueError as error:
-        raise UserError(f"{what} {path}: not valid JSON ({error}){remedy}") from error
+        raise UserError(f"{file}: not valid JSON ({error}); give {form}") from error
+    entries = content["objects"] if isinstance(content, dict) and [*content] == ["objects"] else None
+    if not isinstance(entries, dict) or not entries:
+        raise UserError(f"{file}: give {form} and nothing else, with at least one object")
+    objects, faults = {}, []
+    for name, entry in entries.items():
+        try:
+            objects[name] = msgspec.convert(entry, record)
+        except msgspec.ValidationError as error:
+            problem, _, field = str(error).replace("`", "").partition(" - at $")
+            value = entry[field[1:].partition("[")[0]] if field else entry
+            faults.append(f"{file}: objects[{name!r}]{field} = {shown(value)}: {problem}; give {form}")
+    if faults:
+        raise UserError("\n".join(faults))
+    if all(entry.use != "train" for entry in objects.values()):
+        raise UserError(f"{file}: no object has use 'train'; at least one must, or there is nothing to train on")
+    return objects
 
 
 def without_repeats(pairs: list[tuple[str, object]]) -> dict:
@@ -200,48 +215,27 @@ def load_questions(path: str | os.PathLike) -> Questions:
     object, or gives a text twice: two texts are the same if the sentence encoder cannot tell them apart
     (`text.spelling`).
     """
-    content = read_json("questions", path, f"; it must be {_FORM}")
-    entries = content.get("objects") if isinstance(content, dict) and set(content) == {"objects"} else None
-    if not isinstance(entries, dict) or not entries:
-        raise UserError(f"questions {path}: wants {_FORM} and nothing else, with at least one object")
-    owners = {}
-    for name in entries:
+    objects = read_objects("questions", path, Asked, _FORM)
+    owners: dict[str, str] = {}
+    for name in objects:
         _claim(owners, name, f"questions {path}: objects[{name!r}]", "the name")
-    for name, entry in entries.items():
-        _check_entry(f"questions {path}: objects[{name!r}]", entry, owners)
-    if all(entry["use"] != "train" for entry in entries.values()):
-        raise UserError(
-            f"questions {path}: no object has use 'train'; at least one must, or there is nothing to train on"
-        )
-    room_names = tuple(dict.fromkeys(entry["room"] for entry in entries.values()))
+    for name, entry in objects.items():
+        for position, question in enumerate(entry.questions):
+            _claim(owners, question, f"questions {path}: objects[{name!r}].questions[{position}]", "the question")
+    room_names = tuple(dict.fromkeys(entry.room for entry in objects.values()))
     return Questions(
         room_names=room_names,
-        objects=tuple(entries),
-        rooms=tuple(room_names.index(entry["room"]) for entry in entries.values()),
-        uses=tuple(entry["use"] for entry in entries.values()),
-        questions=tuple(tuple(entry["questions"]) for entry in entries.values()),
+        objects=tuple(objects),
+        rooms=tuple(room_names.index(entry.room) for entry in objects.values()),
+        uses=tuple(entry.use for entry in objects.values()),
+        questions=tuple(entry.questions for entry in objects.values()),
     )
 
 
-def _check_entry(field: str, entry: object, owners: dict[str, str]) -> None:
-    """Raises UserError unless this is a room, a use and five questions that no one has asked yet. owners: spelling ->
+def _claim(owners: dict[str, str], given: str, field: str, kind: str) -> None:
+    """Notes that this text is given here. Raises UserError where it is empty, or given before. owners: spelling ->
     where it was given."""
-    keys = ("room", "use", "questions")
-    if not isinstance(entry, dict) or set(entry) != set(keys):
-        given = sorted(entry) if isinstance(entry, dict) else entry
-        raise UserError(f'{field} has {given!r}; it must have exactly "room", "use" and "questions"')
-    room, use, questions = (entry[key] for key in keys)
-    require(isinstance(room, str) and room.strip() != "", f"{field}: room", room, "it must be the name of a room")
-    require(use in _OBJECT_USES, f"{field}: use", use, f"it must be one of {', '.join(_OBJECT_USES)}")
-    is_list = isinstance(questions, list) and len(questions) == QUESTIONS_PER_OBJECT
-    require(is_list, f"{field}: questions", questions, f"it must be a list of {QUESTIONS_PER_OBJECT} questions")
-    for position, question in enumerate(questions):
-        _claim(owners, question, f"{field}: questions[{position}]", "the question")
-
-
-def _claim(owners: dict[str, str], given: object, field: str, kind: str) -> None:
-    """Notes that this text is given here. Raises UserError where it is no text, or empty, or given before."""
-    require(isinstance(given, str) and text.spelling(given) != "", field, given, f"{kind} must be a text and not empty")
+    require(text.spelling(given) != "", field, given, f"{kind} must not be empty")
     first = owners.setdefault(text.spelling(given), field)
     require(
         first == field, field, given, f"given before, by {first.split(': ', 1)[1]}; reword or remove one of the two"

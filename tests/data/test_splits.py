@@ -41,11 +41,14 @@ def test_a_split_file_says_what_the_split_is(tmp_path):
     ("content", "match"),
     [
         ("{", "not valid JSON"),
-        ("[]", "wants"),
+        ("[]", 'give {"objects"'),
         ('{"objects": {}}', "at least one object"),
-        ('{"objects": {"cup": {"room": "kitchen"}}}', "objects\\['cup'\\].*exactly"),
-        ('{"objects": {"cup": {"room": "kitchen", "use": "tset"}}}', "use is 'tset'.*train, validation, test"),
-        ('{"objects": {"cup": {"room": "", "use": "test"}}}', "room is ''"),
+        ('{"objects": {"cup": {"room": "kitchen"}}}', "objects\\['cup'\\] = .*missing required field use; give"),
+        (
+            '{"objects": {"cup": {"room": "kitchen", "use": "tset"}}}',
+            'use = \'tset\': .*give .*"train", "validation" or "test"',
+        ),
+        ('{"objects": {"cup": {"room": "", "use": "test"}}}', "room = '': "),
         (
             '{"objects": {"cup": {"room": "a", "use": "train"}, "cup": {"room": "b", "use": "test"}}}',
             "given twice: cup",
@@ -143,37 +146,40 @@ def test_goals_are_names_then_training_then_test_questions(tmp_path):
 
 
 ENTRY_MISTAKES = {
-    "no dictionary": (["cup"], "'cup'.*must have exactly"),
-    "unknown key": (entry("cup", colour="red"), "'cup'.*colour.*must have exactly"),
-    "missing key": ({"room": "left", "use": "test"}, "'cup'.*must have exactly"),
-    "room is a number": (entry("cup", room=3), r"'cup'\]: room = 3: it must be the name"),
-    "empty room": (entry("cup", room=" "), r"'cup'\]: room = ' '"),
-    "unknown use": (entry("cup", use="validation"), r"'cup'\]: use = 'validation': it must be one of train, test"),
-    "use is a list": (entry("cup", use=["test"]), r"'cup'\]: use = \['test'\]"),
+    "no dictionary": (["cup"], r"'cup'\] = \['cup'\]: Expected object, got array; give"),
+    "unknown key": (entry("cup", colour="red"), r"'cup'\] = .*unknown field colour; give"),
+    "missing key": ({"room": "left", "use": "test"}, r"'cup'\] = .*missing required field questions"),
+    "room is a number": (entry("cup", room=3), r"'cup'\].room = 3: Expected str, got int"),
+    "empty room": (entry("cup", room=" "), r"'cup'\].room = ' '"),
+    "unknown use": (entry("cup", use="validation"), r"'cup'\].use = 'validation': .*give .*\"train\" or \"test\""),
+    "use is a list": (entry("cup", use=["test"]), r"'cup'\].use = \['test'\]"),
     "questions are one text": (
         entry("cup", questions="What?"),
-        r"'cup'\]: questions = 'What\?': it must be a list of 5",
+        r"'cup'\].questions = 'What\?': Expected array.*five questions",
     ),
-    "four questions": (entry("cup", questions=entry("cup")["questions"][:4]), r"'cup'\]: questions.*list of 5"),
+    "four questions": (
+        entry("cup", questions=entry("cup")["questions"][:4]),
+        r"'cup'\].questions = .*length 5, got 4.*five",
+    ),
     "a number as question": (
         entry("cup", questions=[*entry("cup")["questions"][:4], 7]),
-        r"'cup'\]: questions\[4\] = 7.*must be a text",
+        r"'cup'\].questions\[4\] = .*, 7\]: Expected str, got int",
     ),
     "empty question": (
         entry("cup", questions=[*entry("cup")["questions"][:4], " _ "]),
-        r"'cup'\]: questions\[4\].*not empty",
+        r"'cup'\].questions\[4\].*not be empty",
     ),
     "question twice": (
         entry("cup", questions=["What?", *entry("cup")["questions"][:3], "what?  "]),
-        r"questions\[4\].*'cup'\]: questions\[0\]",
+        r"questions\[4\].*'cup'\].questions\[0\]",
     ),
     "question of another": (
         entry("book"),
-        r"'book'\]: questions\[0\].*given before, by objects\['cup'\]: questions\[0\]",
+        r"'book'\].questions\[0\].*given before, by objects\['cup'\].questions\[0\]",
     ),
     "name as question": (
         entry("cup", questions=["Lamp", *entry("cup")["questions"][:4]]),
-        r"'cup'\]: questions\[0\].*by objects\['lamp'\]",
+        r"'cup'\].questions\[0\].*by objects\['lamp'\]",
     ),
 }
 
@@ -185,6 +191,14 @@ def test_a_mistake_in_an_object_is_named(tmp_path, mistake):
         splits.load_questions(written(tmp_path, {"objects": good() | {"cup": cup}}))
 
 
+def test_every_object_that_is_wrong_is_named_in_one_pass(tmp_path):
+    wrong = {"cup": entry("cup", room=3), "lamp": ["lamp"]}
+    with pytest.raises(UserError) as refused:
+        splits.load_questions(written(tmp_path, {"objects": good() | wrong}))
+    first, second = str(refused.value).splitlines()
+    assert "mine.json: objects['cup'].room = 3" in first and "mine.json: objects['lamp'] = ['lamp']" in second
+
+
 FILE_MISTAKES = {
     "not JSON": ("cup: what is it?", "not valid JSON"),
     "name twice": ('{"objects": {"cup": {}, "cup": {}}}', "given twice: cup"),
@@ -192,11 +206,8 @@ FILE_MISTAKES = {
         {"objects": good() | {"Cup": entry("mug")}},
         r"objects\['Cup'\].*given before, by objects\['cup'\]",
     ),
-    "empty name": (
-        {"objects": good() | {"": entry("nothing")}},
-        r"objects\[''\].*the name must be a text and not empty",
-    ),
-    "a list": ([], 'wants {"objects"'),
+    "empty name": ({"objects": good() | {"": entry("nothing")}}, r"objects\[''\].*the name must not be empty"),
+    "a list": ([], 'give {"objects"'),
     "other key": ({"objects": good(), "rooms": []}, "and nothing else"),
     "no objects": ({"objects": {}}, "at least one object"),
     "no training object": ({"objects": good() | {"book": entry("book")}}, "no object has use 'train'"),
