@@ -134,10 +134,10 @@ def run(
     from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
     own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
 
-    phase: called when loading, tracing, compiling and training begin, with the epoch that the run goes on from, 0 until
-    the checkpoint is read; left: seconds until it has to have stopped. Raises `UserError` before any compilation, and
-    without a change on the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one
-    of another configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
+    phase: called when loading, tracing, compiling and training begin, with the epochs that are done; left: seconds
+    until it has to have stopped. Raises `UserError` before any compilation, and without a change on the disk, for a
+    folder that holds another run or is being written, a damaged checkpoint, or one of another configuration. Raises
+    `Stopped` if a signal asked for it before the first checkpoint.
     """
     check_run(config, folder, resume, listeners, env, phase, left)
     folder, seeds = Path(folder), checked_seeds(seeds)
@@ -145,9 +145,10 @@ def run(
     if writes and not resume:
         check_new(folder, RUN)
     with stop_on_signal() as stop, distributed.noted(stop):
-        phase("loading", 0)
+        done = checkpoint.read_epoch(folder / "checkpoint") if resume else 0
+        phase("loading", done)
         train = make_train(config, env)
-        phase("tracing", 0)
+        phase("tracing", done)
         programs = side_by_side(train, distributed.share(seeds))
         now = describe(config, train.env, list(seeds))
         if not resume:

@@ -15,6 +15,7 @@ import flax.serialization
 import jax
 
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import open_to_read
 from infogoal_jax.keys import is_key, restored
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import DATA, Description, located, to_dict
@@ -23,6 +24,7 @@ from infogoal_jax.runs.tables import Row
 
 FORMAT = "infogoal-jax checkpoint 2"
 EARLIER = "infogoal-jax checkpoint 1"
+LONGEST_HEADER = 2**20
 REMEDY = "train again, or bring back a copy of the file"
 
 
@@ -60,17 +62,33 @@ def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
     place = Place(path, remedy=REMEDY)
     missing = f"{path}: there is no checkpoint; give the folder of a run that got past its first evaluation"
     first_line, _, payload = read_bytes(place, missing, MOST_OF_ARRAYS).partition(b"\n")
-    header = parse(first_line, place)
-    seal = decode(Seal, header, place)
-    if seal.format == EARLIER:
-        raise UserError(f"{path}: was written by an earlier version, which cannot be read; start a new run")
-    if seal.format != FORMAT:
-        raise place.wrong("format", seal.format, f"should be {FORMAT!r}")
-    del header["sha256"]
-    if checksum(header, payload) != seal.sha256:
+    header, sha256 = parse_header(first_line, place)
+    if checksum(header, payload) != sha256:
         raise place.refusal("its content does not have its checksum")
     del header["format"]
     return header, payload
+
+
+def parse_header(first_line: bytes, place: Place) -> tuple[dict[str, Any], str]:
+    """The header of a checkpoint with its format, and the checksum. Raises `UserError` for another format."""
+    header = parse(first_line, place)
+    seal = decode(Seal, header, place)
+    if seal.format == EARLIER:
+        raise UserError(f"{place.path}: was written by an earlier version, which cannot be read; start a new run")
+    if seal.format != FORMAT:
+        raise place.wrong("format", seal.format, f"should be {FORMAT!r}")
+    del header["sha256"]
+    return header, seal.sha256
+
+
+def read_epoch(path: Path) -> int:
+    """The epoch in the header of a checkpoint, whose gigabytes of arrays are not read for it; 0 where there is none."""
+    try:
+        with open_to_read(path) as file:
+            header, _ = parse_header(file.readline(LONGEST_HEADER), Place(path))
+        return decode_value(int, header.get("epoch", 0), "epoch", Place(path))
+    except (OSError, UserError):  # What is wrong with it is named when all of it is read.
+        return 0
 
 
 def load(path: Path, template: Any) -> tuple[dict[str, Any], Any]:
