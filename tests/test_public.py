@@ -8,16 +8,19 @@ import os
 import re
 from collections.abc import Callable
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
 import flax.struct
 import hand_made
+import hand_made_robots
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium.wrappers import TimeLimit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from places import ROOT, forgotten
@@ -289,6 +292,8 @@ def stepped(actions):
 
 
 LINE = Line()
+MASS = partial(TimeLimit, hand_made_robots.Mass(), 9)
+"""Makes a robot of Gymnasium with a time limit."""
 RECORDED = {"observations": np.zeros((3, 4)), "actions": np.zeros((3, 2)), "terminals": [0, 0, 1]}
 MAZE = envs.load("point_maze", PlaneConfig(held_out=False))
 SQUARES = np.zeros((2, 2), np.uint8)
@@ -460,6 +465,29 @@ CALLS = {
             "source": lambda value: isinstance(value, str),
         },
     ),
+    "envs.from_gymnasium": Call(
+        envs.from_gymnasium,
+        {
+            "make": MASS,
+            "radius": 0.1,
+            "episode_length": 9,
+            "ends_at_goal": False,
+            "read": None,
+            "write": None,
+            "simulators": 1,
+            "source": "",
+        },
+        {
+            "make": lambda value: value is MASS,
+            "radius": lambda value: none(value) or (number(value) and 0 < value <= 1e37),
+            "episode_length": lambda value: none(value) or whole(value, 1, 2**31 - 1),
+            "ends_at_goal": flag,
+            "read": none,
+            "write": none,
+            "simulators": lambda value: whole(value, 0, 8),
+            "source": lambda value: isinstance(value, str),
+        },
+    ),
     "envs.from_playground": Call(
         lambda **arguments: envs.from_playground(**arguments, goal=[2, 3], achieved=[0, 1], radius=0.1),
         {"env": LINE, "config_overrides": None},
@@ -622,7 +650,15 @@ CALLS = {
 
 SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry", "GoalBox.of"]
 SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
-SURE += ["run", "sweep", "envs.from_brax", "envs.from_playground", "of_arrays", "of_arrays of transitions"]
+SURE += [
+    "run",
+    "sweep",
+    "envs.from_brax",
+    "envs.from_gymnasium",
+    "envs.from_playground",
+    "of_arrays",
+    "of_arrays of transitions",
+]
 SURE += [
     "with_recordings",
     "envs.from_recordings",

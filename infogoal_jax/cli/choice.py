@@ -99,7 +99,7 @@ class Choice(Parts):
 
 
 ENV = "--env"
-LIBRARIES = ("brax", "playground", "jaxgcrl")
+LIBRARIES = ("brax", "playground", "jaxgcrl", "gymnasium")
 """What can be given by --env. Each is a task, whose flag --env.id says which environment."""
 
 

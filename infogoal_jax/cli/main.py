@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 import shutil
 import signal
 import sys
@@ -135,6 +136,13 @@ def refused_devices() -> str:
     return ""
 
 
+def said_by_simulator(error: BaseException) -> str:
+    """What a `UserError` says that a live simulator (`envs/live.py`) raised inside of a compiled program, from which
+    its text alone comes; empty for another error."""
+    found = re.search(r"^(?:\w+\.)*UserError: (.*)", str(error), re.MULTILINE)
+    return found[1] if found else ""
+
+
 FOLDER_FLAGS = ("--resume", "--out")
 """Flags whose default is an empty word, which nobody types."""
 
@@ -163,8 +171,8 @@ def main(arguments: list[str] | None = None) -> int:
         return STATUS
     except BrokenPipeError:  # Nobody reads what is printed any more, as after `| head`.
         return 128 + signal.SIGPIPE
-    except (RuntimeError, AssertionError):
-        mistake = refused_devices()
+    except (RuntimeError, AssertionError) as error:
+        mistake = refused_devices() or said_by_simulator(error)
         if not mistake:
             raise
         print(at_words(f"infogoal: {mistake}"), file=sys.stderr)

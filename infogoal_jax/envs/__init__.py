@@ -11,6 +11,7 @@ from infogoal_jax.envs.adapters import from_playground as from_playground
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig, TargetsConfig
+from infogoal_jax.envs.live import from_gymnasium as from_gymnasium
 from infogoal_jax.envs.recordings import from_recordings as from_recordings
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import checked

@@ -443,7 +443,7 @@ def sizes_of(read: Callable[[Any], jax.Array], state: Any, field: str) -> int:
 
 def drawn_goals(task: AdaptedTask) -> np.ndarray:
     """Goals that the environment draws, float32 [M, D]."""
-    keys = jax.random.split(from_seed(np.uint32(0)), GOALS_DRAWN)
+    keys = jax.random.split(from_seed(np.uint32(0)), getattr(task.env, "goals_drawn", GOALS_DRAWN))
     drawn = np.asarray(jax.jit(jax.vmap(lambda key: task.read_goal(task.begin(key))))(keys))
     require(np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset")
     remedy = "is the same after every env.reset; read it where the environment draws it, or give low and high"

@@ -1,13 +1,13 @@
-"""Environments of brax, MuJoCo Playground and JaxGCRL by their names: `infogoal train --env brax:reacher`. A task of
-each library, whose configuration has the id, so that a run remembers it. `presets/loading.py` registers such a task
-when it is asked for."""
+"""Environments of brax, MuJoCo Playground, JaxGCRL and Gymnasium by their names: `infogoal train --env brax:reacher`. A
+task of each library, whose configuration has the id, so that a run remembers it. `presets/loading.py` registers such a
+task when it is asked for."""
 
 import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from infogoal_jax.envs import adapters
+from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTaskConfig
@@ -37,8 +37,7 @@ class NamedConfig(GoalTaskConfig):
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
-        require(self.radius >= 0, "env.radius", self.radius, "give a distance above 0, or 0 for the environment's own")
+        check_numbers(self)
         require(bool(self.goal) == bool(self.achieved), "env.achieved", self.achieved, "goes with --env.goal")
         require(bool(self.goal) or not self.hidden, "env.hidden", self.hidden, "goes with --env.goal")
 
@@ -53,6 +52,28 @@ class PlaygroundConfig(NamedConfig):
 
 class JaxGCRLConfig(NamedConfig):
     """As `NamedConfig`, of JaxGCRL, whose episodes go on at the goal."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GymnasiumConfig(GoalTaskConfig):
+    """Which environment of Gymnasium; its goal is known."""
+
+    id: str = ""
+    """Of the environment, as Gymnasium has it."""
+    episode_length: int = 1000
+    """Steps of an episode, at most those of the environment's own time limit."""
+    radius: float = 0.0
+    """Distance below which a goal is reached; 0: the environment's own."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        check_numbers(self)
+
+
+def check_numbers(config: NamedConfig | GymnasiumConfig) -> None:
+    """Raise `UserError` for a length or a radius out of range."""
+    require(config.episode_length > 0, "env.episode_length", config.episode_length, "give a whole number above 0")
+    require(config.radius >= 0, "env.radius", config.radius, "give a distance above 0, or 0 for the environment's own")
 
 
 BRAX = {
@@ -121,6 +142,18 @@ def make_jaxgcrl(config: JaxGCRLConfig) -> AdaptedTask:
     return adapters.from_jaxgcrl(config.id, **arguments_of("jaxgcrl", config, {}))
 
 
+WITHIN = 0.45
+"""Of the mazes of Gymnasium-Robotics, which have it in their code alone."""
+
+
+def make_gymnasium(config: GymnasiumConfig) -> AdaptedTask:
+    """The environment of Gymnasium, simulated as it is."""
+    name = config.id.rpartition(":")[-1]
+    known = WITHIN if name.startswith(("PointMaze_", "AntMaze_")) else None
+    told = {"ends_at_goal": config.ends_at_goal, "episode_length": config.episode_length}
+    return live.from_gymnasium(config.id, radius=config.radius or known, **told)
+
+
 def with_recordings(make: Callable[[NamedConfig], AdaptedTask], config: NamedConfig) -> AdaptedTask:
     """The task, with what it learns from offline where a file is named."""
     return recorded_in(make(config), config.dataset)
@@ -136,5 +169,6 @@ LIBRARIES = {
     "brax": Entry(BraxConfig, partial(with_recordings, make_brax), traits=traits),
     "playground": Entry(PlaygroundConfig, partial(with_recordings, make_playground), traits=traits),
     "jaxgcrl": Entry(JaxGCRLConfig, partial(with_recordings, make_jaxgcrl), traits=traits),
+    "gymnasium": Entry(GymnasiumConfig, partial(with_recordings, make_gymnasium), traits=traits),
 }
 """The task of each library, by its name."""

@@ -74,10 +74,19 @@ states and goals are seen as they are."""
 
 def of_library(task: str) -> Preset:
     """The preset of another library's environments (`envs/named.py`)."""
-    words = {"brax": "brax", "playground": "MuJoCo Playground", "jaxgcrl": "JaxGCRL"}
-    env = {"episode_length": 1001, "ends_at_goal": False} if task == "jaxgcrl" else {}
+    words = {"brax": "brax", "playground": "MuJoCo Playground", "jaxgcrl": "JaxGCRL", "gymnasium": "Gymnasium"}
+    env = {"jaxgcrl": {"episode_length": 1001, "ends_at_goal": False}, "gymnasium": {"ends_at_goal": False}}
     of_task = preset(f"An environment of {words[task]}, by its name: --env {task}:NAME.", 100)
-    return dataclasses.replace(of_task, env=env)
+    of_task = dataclasses.replace(of_task, env=env.get(task, {}))
+    return dataclasses.replace(of_task, **LIVE) if task == "gymnasium" else of_task
+
+
+LIVE = {
+    "training": TRAINING
+    | {"num_envs": 16, "num_epochs": 50, "rollout_steps": 50, "epochs_per_evaluation": 5, "evaluation_starts": 1},
+    "hyper": HYPER | {"discount": 0.95, "target_rate": 0.05, "epsilon": 0.3},
+}
+"""Few steps and many updates, for a step of a live simulator takes about a millisecond; floats of the Fetch tasks."""
 
 
 PRESETS = {

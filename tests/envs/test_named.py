@@ -39,7 +39,10 @@ def test_words_mean_a_task_and_a_name(words, meant):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--env brx:reacher", "env = 'brx:reacher': give brax:NAME or playground:NAME or jaxgcrl:NAME. Did you mean"),
+        (
+            "--env brx:reacher",
+            "env = 'brx:reacher': give brax:NAME or playground:NAME or jaxgcrl:NAME or gymnasium:NAME",
+        ),
         ("--env brax:", "env = 'brax:': give brax:NAME"),
         ("--env", "env = '': give brax:NAME"),
         ("point_maze --env brax:reacher", "'point_maze' is a task already"),
@@ -91,7 +94,7 @@ def test_what_brax_has_is_what_is_told():
 
 def test_the_command_line_knows_each_library():
     """Help names them without importing what jax needs."""
-    assert choice.LIBRARIES == tuple(named.LIBRARIES) == FAMILIES
+    assert choice.LIBRARIES == tuple(named.LIBRARIES) == (*FAMILIES, "gymnasium")
 
 
 @pytest.mark.long

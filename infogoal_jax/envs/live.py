@@ -1,0 +1,423 @@
+"""Live goal environments of Gymnasium as tasks: `from_gymnasium`, for Gymnasium-Robotics and for a robot of one's own
+on C MuJoCo. docs/guides/bridges.md trains on one.
+
+A task is pure, and a simulator is not. Its whole state therefore travels in the state of the task, byte for byte, and
+is put back before each step: a few simulators, a thread each, play every row of a batch inside one host callback. So
+the same key gives the same numbers, and seeds, resuming and evaluation work as for every task.
+
+The simulators run on the CPU. With a GPU each step waits for them, and the state goes to the host and back.
+"""
+
+import ctypes
+import dataclasses
+import os
+import queue
+import types
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, NamedTuple
+
+import flax.struct
+import jax
+import numpy as np
+
+from infogoal_jax import checks
+from infogoal_jax.envs import adapters
+from infogoal_jax.envs.adapters import AdaptedTask
+from infogoal_jax.envs.goal_task import Episode
+from infogoal_jax.errors import UserError, nearest, reason, require
+from infogoal_jax.field_types import LARGEST_WHOLE
+
+PARTS = ("observation", "achieved_goal", "desired_goal")
+MOST_NUMBERS = 1024
+"""Of an attribute of an environment that is carried along; longer ones are taken for tables that stay as they are."""
+MOST_SIMULATORS = 8
+GOALS_DRAWN = 256
+"""Goals that are drawn to find how far they spread: a reset of such an environment takes about a millisecond."""
+PLAYED = 8
+"""Steps for which an environment is compared with itself, put back into each state."""
+
+
+class Row(NamedTuple):
+    """What the task carries of one environment. bytes: uint32 [W], the simulator's state; obs: dictionary of float32;
+    done: float32, the episode has failed; cut: bool, the environment has truncated it."""
+
+    bytes: jax.Array
+    obs: dict[str, jax.Array]
+    done: jax.Array
+    cut: jax.Array
+
+
+@flax.struct.dataclass
+class LiveTask(AdaptedTask):
+    """A Gymnasium environment as a task: its world is a `Row`."""
+
+    def step(self, state: Episode, action: jax.Array) -> Episode:
+        """One step. What the environment truncates is truncated."""
+        state = super().step(state, action)
+        return state.replace(truncated=state.truncated | (state.world.cut & ~state.terminated))
+
+
+def from_gymnasium(
+    make: str | Callable[[], Any],
+    *,
+    radius: float | None = None,
+    episode_length: int | None = None,
+    ends_at_goal: bool = False,
+    read: Callable[[Any], Any] | None = None,
+    write: Callable[[Any, Any], None] | None = None,
+    simulators: int = 0,
+    source: str = "",
+    **arguments: Any,
+) -> LiveTask:
+    """A goal environment of Gymnasium as a task: its id, or a function that makes a new one. Observations are `Dict`
+    with `observation`, `achieved_goal` and `desired_goal`, vectors each; the agent sees the first two, in the order
+    `achieved_goal`, `observation`.
+
+    radius: distance below which a goal is reached; None: the environment's `distance_threshold`.
+    episode_length: steps of an episode, at most the environment's own time limit, which None is. ends_at_goal: whether
+        reaching the goal ends it. Where the environment terminates elsewhere than at its goal, the episode has failed.
+    read, write: (environment) -> its state as an array of numbers, and (environment, that array) -> None; None: what
+        MuJoCo's `MjData` holds, with every number and short array among the environment's attributes.
+    simulators: environments that are made, a thread each; 0: one for each core, at most 8.
+    arguments: of `from_brax`: `low`, `high`, `held_out`, `num_evaluated`, `starts`.
+
+    Raises `UserError`, naming the argument, for what is no such environment, and for one that goes elsewhere once it is
+    put back into a state: where a step draws random numbers, or depends on what is not carried.
+    """
+    require((read is None) == (write is None), "write", write, "give both read and write, or neither")
+    for name, function, count in (("read", read, 1), ("write", write, 2)):
+        if function is not None:
+            checks.function(function, name, count, "give a function of the environment")
+    if radius is not None:
+        checks.number(radius, "radius", 0.0, adapters.WIDEST)
+    if episode_length is not None:
+        checks.whole(episode_length, "episode_length", 1, LARGEST_WHOLE)
+    checks.whole(simulators, "simulators", 0, MOST_SIMULATORS)
+    checks.text(source, "source", "say what is simulated, in words")
+    made = maker(make)
+    first = Simulator(made, read, write)
+    threshold, limit = first.threshold() if radius is None else radius, first.limit()
+    require(threshold is not None, "radius", None, "the environment has no distance_threshold; give a distance")
+    require(episode_length or limit, "episode_length", None, "the environment has no time limit; give one")
+    first.radius = float(threshold)
+    first.check_put_back()
+    batch = Batch(first, made, read, write, simulators or min(len(os.sched_getaffinity(0)), MOST_SIMULATORS))
+    task = adapters.from_brax(
+        batch,
+        goal="desired_goal",
+        achieved="achieved_goal",
+        radius=first.radius,
+        episode_length=min(filter(None, (episode_length, limit))),
+        ends_at_goal=ends_at_goal,
+        source=source or f"{first.name} of Gymnasium, simulated",
+        **arguments,
+    )
+    return LiveTask(**{field.name: getattr(task, field.name) for field in dataclasses.fields(task)})
+
+
+def maker(make: Any) -> Callable[[], Any]:
+    """What makes one environment. Raises `UserError` where Gymnasium is not installed, and for an unknown id."""
+    gymnasium = adapters.imported("gymnasium", "pip install 'infogoal-jax[gymnasium]'")
+    if isinstance(make, str):
+        if adapters.is_there("gymnasium_robotics"):
+            gymnasium.register_envs(adapters.imported("gymnasium_robotics", "pip install gymnasium-robotics"))
+        known = [*gymnasium.registry]
+        there = make in known or ":" in make  # `MODULE:ID` is imported by Gymnasium.
+        remedy = "Gymnasium has no such environment; that of Gymnasium-Robotics: pip install gymnasium-robotics"
+        require(there, "make", make, f"{remedy}.{nearest(make, known)}")
+    else:
+        checks.function(make, "make", 0, "give the id of an environment, or a function that makes a new one")
+    mend_robotics()
+    function = partial(gymnasium.make, make, disable_env_checker=True) if isinstance(make, str) else make
+
+    def made() -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return said("make", function)
+
+    return made
+
+
+def mend_robotics() -> None:
+    """Gymnasium-Robotics 1.4.2 asks whether a number is in a tuple of enumerators, which MuJoCo 3.17 denies: a Fetch or
+    a Hand could not be made. In its module of these functions they become the numbers that they are."""
+    robotics = adapters.is_there("gymnasium_robotics.utils")
+    utils = adapters.imported("gymnasium_robotics.utils.mujoco_utils", "pip install mujoco") if robotics else None
+    if utils is None or isinstance(utils.mujoco, types.SimpleNamespace):
+        return
+    joints = {name: int(value) for name, value in utils.mujoco.mjtJoint.__members__.items()}
+    utils.mujoco = types.SimpleNamespace(**(vars(utils.mujoco) | {"mjtJoint": types.SimpleNamespace(**joints)}))
+
+
+class Place(NamedTuple):
+    """Where a carried number or array is: an attribute of one of the environment's layers."""
+
+    layer: int
+    name: str
+    python: bool
+    """Whether it is a number of Python."""
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+
+class Simulator:
+    """One environment, whose state can be read and put back."""
+
+    def __init__(self, make: Callable[[], Any], read: Any, write: Any):
+        self.env, self.own = make(), (read, write)
+        self.check_spaces()
+        self.name = getattr(getattr(self.env, "spec", None), "id", None) or type(self.env.unwrapped).__name__
+        self.radius = 0.0
+        self.shapes = {name: self.env.observation_space[name].shape for name in PARTS}
+        actions = self.env.action_space
+        self.centre, self.half = (actions.high + actions.low) / 2, (actions.high - actions.low) / 2
+        self.layers = [self.env]
+        while hasattr(self.layers[-1], "env"):
+            self.layers.append(self.layers[-1].env)
+        self.observed(said("make", partial(self.env.reset, seed=0))[0])
+        self.buffers, self.places = [], []
+        self.datas: list[Any] = []
+        self.find_state()
+        self.start = None
+        self.start = self.read()
+
+    def check_spaces(self) -> None:
+        """Raise `UserError` for spaces other than vectors for observation, goals and bounded actions."""
+        for name in ("observation_space", "action_space", "reset", "step", "unwrapped"):
+            require(hasattr(self.env, name), "make", type(self.env).__name__, f"has no {name}: give a Gymnasium one")
+        spaces = getattr(self.env.observation_space, "spaces", {})
+        for name in PARTS:
+            space = spaces.get(name) if isinstance(spaces, dict) else None
+            field = f"observation_space[{name!r}]"
+            require(space is not None, field, str(self.env.observation_space)[:60], "give a Dict with such an entry")
+            remedy = "give a Box of numbers with one axis; pixels and nested spaces are not taken"
+            is_vector = len(getattr(space, "shape", None) or ()) == 1 and space.dtype.kind == "f"
+            require(is_vector, field, str(space)[:60], remedy)
+        goals = [spaces[name].shape[0] for name in PARTS[1:]]
+        require(goals[0] == goals[1], "desired_goal", goals[1], f"achieved_goal has {goals[0]} numbers; give as many")
+        actions = self.env.action_space
+        low, high = getattr(actions, "low", None), getattr(actions, "high", None)
+        is_vector = low is not None and len(actions.shape) == 1 and actions.dtype.kind == "f"
+        require(
+            is_vector, "action_space", str(actions)[:60], "actions are vectors; give a Box of numbers with one axis"
+        )
+        bounded = np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()
+        require(bounded, "action_space", str(actions)[:60], "give finite bounds, between which actions lie")
+
+    def limit(self) -> int | None:
+        """The time limit with which Gymnasium made the environment."""
+        return getattr(getattr(self.env, "spec", None), "max_episode_steps", None)
+
+    def threshold(self) -> float | None:
+        """The environment's distance below which a goal is reached, if it has one. Raises `UserError` where
+        `compute_reward` takes goals well beyond it for reached."""
+        radius = getattr(self.env.unwrapped, "distance_threshold", None)
+        reward = getattr(self.env.unwrapped, "compute_reward", None)
+        if radius is None or reward is None:
+            return radius
+        goal = np.asarray(self.env.reset(seed=0)[0]["desired_goal"], np.float64)
+        ways = np.concatenate([np.eye(len(goal)), -np.eye(len(goal))])
+        goals = np.broadcast_to(goal, ways.shape)
+        there, beyond = (
+            np.asarray(said("compute_reward", reward, goals + far * radius * ways, goals, {})) for far in (0, 1.1)
+        )
+        remedy = "compute_reward takes goals that are farther away for reached; give radius"
+        require((there != beyond).all(), "distance_threshold", radius, remedy)
+        return checks.number(radius, "distance_threshold", 0.0)
+
+    def find_state(self) -> None:
+        """Find what is carried: the buffers of MuJoCo, and the numbers among the attributes of each layer; of wrappers
+        alone, where the user reads and writes the environment."""
+        layers = self.layers
+        if self.own[0] is None:
+            mujoco = adapters.imported("mujoco", "pip install mujoco")
+            found = [getattr(self.env.unwrapped, "data", None)]
+            found += [value for layer in layers for value in vars(layer).values()]
+            self.datas = [*{id(value): value for value in found if isinstance(value, mujoco.MjData)}.values()]
+            self.buffers = [buffer for data in self.datas for buffer in buffers_of(data)]
+        else:
+            layers = layers[:-1]
+        for number, layer in enumerate(layers):
+            for name, value in vars(layer).items():
+                array = carried(value)
+                if array is None or name.startswith("_np_random"):
+                    continue
+                if not any(np.may_share_memory(array, buffer) for buffer in self.buffers):
+                    python = not isinstance(value, np.ndarray | np.generic)
+                    self.places.append(Place(number, name, python, array.shape, array.dtype))
+
+    def read(self) -> np.ndarray:
+        """The state, uint32 [W]."""
+        parts = [np.array([data.time for data in self.datas]).tobytes(), *(each.tobytes() for each in self.buffers)]
+        for place in self.places:
+            value = np.asarray(vars(self.layers[place.layer])[place.name])
+            if value.shape != place.shape or not np.can_cast(value.dtype, place.dtype, "same_kind"):
+                was = checks.written(place.shape, str(place.dtype))
+                raise UserError(f"{place.name} of {self.name}: is {checks.described(value)}; it began as {was}")
+            parts.append(value.astype(place.dtype, copy=False).tobytes())
+        if self.own[0] is not None:
+            state = said("read", self.own[0], self.env)
+            parts.append(np.asarray(checks.array(state, "the state of read", "numbers"), np.float64).tobytes())
+        content = b"".join(parts)
+        words = np.frombuffer(content + bytes(-len(content) % 4), np.uint32)
+        same = self.start is None or words.shape == self.start.shape
+        require(same, "the state of read", len(words), "has another length than before")
+        return words
+
+    def write(self, words: np.ndarray) -> None:
+        """Put the environment into a state [W]."""
+        content, start = np.ascontiguousarray(words).view(np.uint8), 0
+        for data in self.datas:
+            data.time = float(content[start : start + 8].view(np.float64)[0])
+            start += 8
+        for buffer in self.buffers:
+            buffer[:] = content[start : start + buffer.size]
+            start += buffer.size
+        for layer, name, python, shape, dtype in self.places:
+            value = np.ndarray(shape, dtype, content, start)
+            start += value.nbytes
+            vars(self.layers[layer])[name] = value.item() if python else value.copy()[()]
+        if self.own[1] is not None:
+            numbers = content[start : start + (content.size - start) // 8 * 8].copy().view(np.float64)
+            said("write", self.own[1], self.env, numbers)
+
+    def observed(self, seen: Any) -> dict[str, np.ndarray]:
+        """What is seen, as float32. Raises `UserError` for another thing than the space says."""
+        seen = seen if isinstance(seen, dict) else {}
+        parts = {name: np.asarray(seen.get(name)) for name in PARTS}
+        for name, found in parts.items():
+            if found.shape != self.shapes[name] or found.dtype.kind != "f":
+                wanted = checks.written(self.shapes[name], "float")
+                raise UserError(f"{name} of {self.name}: is {checks.described(found)}; its space is {wanted}")
+        return {name: found.astype(np.float32) for name, found in parts.items()}
+
+    def reset(self, seed: int) -> Row:
+        """A new episode, from the same state of the simulator always."""
+        self.write(self.start)
+        seen, _ = self.env.reset(seed=seed)
+        return Row(self.read(), self.observed(seen), np.float32(0), np.bool_(False))
+
+    def step(self, action: np.ndarray) -> Row:
+        """One step from the state that the environment is in; the action lies in [-1, 1]."""
+        action = (self.centre + self.half * action).astype(self.env.action_space.dtype)
+        seen, _, terminated, truncated, _ = self.env.step(action)
+        away = np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) >= self.radius
+        return Row(self.read(), self.observed(seen), np.float32(bool(terminated) and away), np.bool_(truncated))
+
+    def check_put_back(self) -> None:
+        """Raise `UserError` unless an episode with the environment put back into each state, and another played in
+        between, is the one that it plays alone."""
+        size = self.env.action_space.shape[0]
+        actions = np.random.default_rng(0).uniform(-1, 1, (PLAYED, size)).astype(np.float32)
+        alone, other = [self.reset(1)], self.reset(2)
+        self.reset(1)
+        alone += [self.step(action) for action in actions]
+        row = self.reset(1)
+        for number in range(PLAYED + 1):
+            same = all(np.array_equal(row.obs[name], alone[number].obs[name], equal_nan=True) for name in PARTS)
+            where = f"after {number} steps" if number else "after a reset with the same seed"
+            remedy = "give read and write, which hold all that a step uses; a step may draw no random numbers"
+            same = same and row[2:] == alone[number][2:]
+            require(same, "make", self.name, f"goes elsewhere {where} when put back; {remedy}")
+            if number < PLAYED:
+                self.write(other.bytes)
+                other = self.step(-actions[number])
+                self.write(row.bytes)
+                row = self.step(actions[number])
+
+
+def said(field: str, function: Callable, *arguments: Any) -> Any:
+    """What a function of the environment's author returns. Raises `UserError`, naming it, where it raises."""
+    try:
+        return function(*arguments)
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(f"{field}: raised {reason(error)}") from error
+
+
+def buffers_of(data: Any) -> list[np.ndarray]:
+    """The memory in which MuJoCo keeps the arrays of `MjData` that last from step to step, as bytes: the arena of what
+    each step makes anew is elsewhere. Derived numbers are among them, such as places of bodies, which are those of the
+    last substep: an environment reads them before it steps. Left out is what is for drawing alone."""
+    first = data.qpos.ctypes.data  # The first of them.
+    whole = np.ctypeslib.as_array((ctypes.c_uint8 * data.nbuffer).from_address(first))
+    drawn = data.bvh_active
+    if not drawn.size:
+        return [whole]
+    start = drawn.ctypes.data - first
+    return [whole[:start], whole[start + drawn.nbytes :]]
+
+
+def carried(value: Any) -> np.ndarray | None:
+    """The array of what is a number or a short array of numbers."""
+    if not isinstance(value, bool | int | float | np.generic | np.ndarray):
+        return None
+    array = np.asarray(value)
+    return array if array.dtype.kind in "biuf" and array.size <= MOST_NUMBERS else None
+
+
+class Batch:
+    """Any number of environments with the interface of brax, played by a few simulators."""
+
+    goals_drawn = GOALS_DRAWN
+
+    def __init__(self, first: Simulator, make: Callable, read: Any, write: Any, count: int):
+        self.action_size = first.env.action_space.shape[0]
+        self.free: queue.SimpleQueue = queue.SimpleQueue()
+        self.threads = ThreadPoolExecutor(count)
+        self.count = count
+        self.shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), first.reset(0))
+        for number in range(count):
+            simulator = Simulator(make, read, write) if number else first
+            simulator.start, simulator.radius = first.start, first.radius
+            self.free.put(simulator)
+
+    def reset(self, key: jax.Array) -> Row:
+        """A new episode, seeded by the last word of a key."""
+        return jax.pure_callback(self.reset_rows, self.shapes, key[..., -1], vmap_method="broadcast_all")
+
+    def step(self, row: Row, action: jax.Array) -> Row:
+        """The environment after an action."""
+        return jax.pure_callback(self.step_rows, self.shapes, row.bytes, action, vmap_method="broadcast_all")
+
+    def reset_rows(self, seeds: Any) -> Row:
+        """Resets for seeds [...]."""
+        seeds = np.asarray(seeds)
+        flat = seeds.reshape(-1)
+        return self.played(seeds.shape, lambda simulator, row: simulator.reset(int(flat[row])))
+
+    def step_rows(self, states: Any, actions: Any) -> Row:
+        """Steps of states [..., W] under actions [..., A]."""
+        states, actions = np.asarray(states), np.asarray(actions)
+        each, pushes = states.reshape(-1, states.shape[-1]), actions.reshape(-1, actions.shape[-1])
+
+        def play(simulator: Simulator, row: int) -> Row:
+            simulator.write(each[row])
+            return simulator.step(pushes[row])
+
+        return self.played(states.shape[:-1], play)
+
+    def played(self, axes: tuple[int, ...], play: Callable[[Simulator, int], Row]) -> Row:
+        """The rows [axes] that simulators play, each a part of them."""
+        size = int(np.prod(axes))
+        rows = jax.tree.map(lambda leaf: np.empty((size, *leaf.shape), leaf.dtype), self.shapes)
+        leaves = jax.tree.leaves(rows)
+
+        def some(part: np.ndarray) -> None:
+            simulator = self.free.get()
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    for row in part:
+                        played = said(simulator.name, play, simulator, row)
+                        for leaf, value in zip(leaves, jax.tree.leaves(played), strict=True):
+                            leaf[row] = value
+            finally:
+                self.free.put(simulator)
+
+        list(self.threads.map(some, np.array_split(np.arange(size), min(self.count, max(size, 1)))))
+        return jax.tree.map(lambda leaf: leaf.reshape((*axes, *leaf.shape[1:])), rows)
