@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from infogoal_jax.data import frames, frames_check, pictures
 from infogoal_jax.data.frames import FrameDataset
+from infogoal_jax.data.members import MOST_FAULTS
 from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.files import read_bytes, read_text
 
@@ -44,20 +45,25 @@ SAME_WITHIN = 1e-6
 
 
 class Row(NamedTuple):
-    """A row of the CSV. number: as a spreadsheet counts; cells: by column, stripped."""
+    """A row of the CSV. number: as a spreadsheet counts; cells: by column, stripped; faults: of all rows, in words."""
 
     table: Path
     number: int
     cells: dict[str, str]
+    faults: list[str]
 
-    def refusal(self, column: str, problem: str) -> UserError:
-        """What is wrong with a cell of this row, and what to do."""
-        return UserError(f"{self.table}: row {self.number}: {column} = {self.cells[column]!r}: {problem}")
-
-    def wants(self, condition: bool, column: str, problem: str) -> None:
-        """Raise the `refusal`, unless the condition holds."""
+    def wants(self, condition: bool, column: str, problem: str) -> bool:
+        """Whether the condition holds; otherwise what is wrong with a cell of this row, and what to do, is a fault."""
         if not condition:
-            raise self.refusal(column, problem)
+            self.faults.append(f"{self.table}: row {self.number}: {column} = {self.cells[column]!r}: {problem}")
+        return condition
+
+
+def stop_at(faults: Sequence[str]) -> None:
+    """Raise a `UserError` of these faults, if there are any, a line each."""
+    if faults:
+        more = [f"{len(faults) - MOST_FAULTS} more rows with faults"] if len(faults) > MOST_FAULTS else []
+        raise UserError("\n".join([*faults[:MOST_FAULTS], *more]))
 
 
 class Move(NamedTuple):
@@ -87,7 +93,8 @@ def import_folder(
     name: of the dataset, in words; by default that of the folder. progress: is told the share of the images that is
     read.
 
-    Raises `UserError` for every mistake in what is given; it names the file, the row and the remedy.
+    Raises `UserError` for the mistakes in what is given, all those of the CSV at once, then all those of the images; it
+    names the file, the row and the remedy.
     """
     images, table = Path(images), Path(table)
     require(
@@ -102,22 +109,22 @@ def import_folder(
     moves = set(columns) & set(MOVES)
     check_columns(table, columns, joints, bool(moves))
     require(not (wrap and moves), "wrap", tuple(wrap), f"{table} lists recorded moves; wrap is for a grid of poses")
+    faults = rows[0].faults
     frame_of, frame_rows = number_images(rows)
-    poses = read_poses(frame_rows, joints)
-    states = [row.cells.get("state", "") for row in frame_rows]
+    state = np.arange(len(frame_rows))
     if "state" in columns:
         for row in frame_rows:
             row.wants(row.cells["state"] != "", "state", "name the state that the image shows")
-        state = np.unique(states, return_inverse=True)[1]
-    else:
-        state = np.arange(len(frame_rows))
-    if moves:
-        recorded, actions = read_moves(rows, frame_of), []
-    else:
+        state = np.unique([row.cells["state"] for row in frame_rows], return_inverse=True)[1]
+    recorded, actions = read_moves(rows, frame_of) if moves else [], []
+    poses = read_poses(frame_rows, columns, joints, faults)
+    if not moves:
         values = joint_numbers(frame_rows, joints)
         recorded, actions = grid_moves(table, frame_rows, joints, values, state, "state" in columns, wrap)
+        stop_at(faults)
     fields = move_fields(recorded, actions)
     contradicting(recorded, fields, state)
+    stop_at(faults)
     pixels, recorded_size = read_images(images, frame_rows, size, progress)
     command = f"infogoal data import {shlex.quote(str(images))} {shlex.quote(str(table))}"
     command += (f" --size {size[0]} {size[1]}" if size else "") + "".join(
@@ -141,6 +148,8 @@ def read_images(
     if size is not None:
         require(min(size) >= 1, "size", tuple(size), "give height and width, at least 1 pixel each")
     first = read_image(folder, rows[0])
+    if first is None:
+        raise UserError(rows[0].faults[0])
     height, width = size or first.shape[:2]
     total = len(rows) * height * width * 3
     require(
@@ -155,39 +164,42 @@ def read_images(
         """Decoding and shrinking let other threads run."""
         row = rows[place]
         image = read_image(folder, row)
+        if image is None:
+            return
         here, expected = image.shape[:2], first.shape[:2]
         found = (
             f"is {here[0]} x {here[1]} pixels high and wide, but {rows[0].cells['image']!r} in row {rows[0].number} is "
             f"{expected[0]} x {expected[1]}"
         )
         if size is None:
-            row.wants(here == expected, "image", f"{found}; give --size HEIGHT WIDTH to bring all to one size")
+            fits = row.wants(here == expected, "image", f"{found}; give --size HEIGHT WIDTH to bring all to one size")
         else:  # The same shape, but for what rounding to whole pixels costs.
             alike = abs(here[1] - here[0] * expected[1] / expected[0]) <= max(1, here[0] / expected[0])
-            row.wants(alike, "image", f"{found}, another shape; crop it, so that nothing is distorted")
+            fits = row.wants(alike, "image", f"{found}, another shape; crop it, so that nothing is distorted")
             image = pictures.resized(image, *size)
-        pixels[place] = image
+        if fits:
+            pixels[place] = image
 
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
         for done, _ in enumerate(threads.map(read_into, range(len(rows))), 1):
             if progress is not None:
                 progress(done / len(rows))
+    stop_at(rows[0].faults)
     return pixels, list(first.shape[:2])
 
 
-def read_image(folder: Path, row: Row) -> np.ndarray:
-    """One image as OpenCV decodes it, uint8 RGB [H, W, 3]."""
+def read_image(folder: Path, row: Row) -> np.ndarray | None:
+    """One image as OpenCV decodes it, uint8 RGB [H, W, 3]; None, and a fault of the row, where there is none."""
     name = row.cells["image"]
+    problem = f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row"
     try:
-        content = read_bytes(folder / name)
+        image = pictures.decoded(read_bytes(folder / name))
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
-        raise row.refusal("image", f"no such file in {folder}.{hint} Add it, or correct the row") from None
+        image, problem = None, f"no such file in {folder}.{hint} Add it, or correct the row"
     except (OSError, ValueError) as error:  # A name with a zero byte is a ValueError.
-        raise row.refusal("image", f"cannot be read ({error}); correct the name, or the rights of the file") from error
-    image = pictures.decoded(content)
-    damaged = f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row"
-    row.wants(image is not None, "image", damaged)
+        image, problem = None, f"cannot be read ({error}); correct the name, or the rights of the file"
+    row.wants(image is not None, "image", problem)
     return image
 
 
@@ -206,7 +218,7 @@ def read_rows(table: Path) -> list[Row]:
         raise UserError(f"{table}: is no CSV ({error}); look for a quotation mark that is not closed") from error
     if not lines or not any(lines[0]):
         raise UserError(f"{table}: has no header; begin with a row of names of columns: {ALLOWED}")
-    header, rows = lines[0], []
+    header, rows, faults = lines[0], [], []
     for number, cells in enumerate(lines[1:], 2):
         if any(cells):
             if len(cells) != len(header):
@@ -214,7 +226,7 @@ def read_rows(table: Path) -> list[Row]:
                     f"{table}: row {number}: has {len(cells)} cells, but the header has {len(header)}; separate cells "
                     "with commas"
                 )
-            rows.append(Row(table, number, dict(zip(header, cells, strict=True))))
+            rows.append(Row(table, number, dict(zip(header, cells, strict=True)), faults))
     repeated = [column for place, column in enumerate(header) if column in header[:place]]
     if repeated:
         raise UserError(f"{table}: row 1: has the column {repeated[0]!r} twice; remove one")
@@ -256,14 +268,16 @@ def number_images(rows: list[Row]) -> tuple[dict[str, int], list[Row]]:
     frame_rows: list[Row] = []
     for row in rows:
         name = row.cells["image"]
-        row.wants(name != "", "image", "name a file of the folder")
+        if not row.wants(name != "", "image", "name a file of the folder"):
+            continue
         if name not in frame_of:
             frame_of[name] = len(frame_rows)
             frame_rows.append(row)
             continue
         first = frame_rows[frame_of[name]]
         moves = "trajectory" in row.cells
-        row.wants(moves, "image", f"is in row {first.number} already; give each pose an image of its own")
+        if not row.wants(moves, "image", f"is in row {first.number} already; give each pose an image of its own"):
+            continue
         for column in set(row.cells) - set(MOVES):
             said = first.cells[column]
             remedy = f"row {first.number} says {said!r} of the same image; correct one"
@@ -289,29 +303,27 @@ def joint_numbers(rows: list[Row], joints: Sequence[str]) -> np.ndarray:
     return np.concatenate([numbers(rows, [joint], unit) for joint, unit in zip(joints, units, strict=True)], 1)
 
 
-def read_poses(rows: list[Row], joints: tuple[str, ...]) -> dict:
+def read_poses(rows: list[Row], columns: Sequence[str], joints: tuple[str, ...], faults: Sequence[str]) -> dict:
     """The fields rotation, joints, position and detected of the dataset, with their names, as far as the CSV has
-    them."""
-    columns, fields = set(rows[0].cells), {}
-    if "qw" in columns:
-        quaternion = numbers(rows, QUATERNION, "parts of a quaternion")
-        length = np.linalg.norm(quaternion, axis=1)
-        for row in np.flatnonzero(np.abs(length - 1) > UNIT_WITHIN):
-            words = ", ".join(rows[row].cells[column] for column in QUATERNION)
-            raise UserError(
-                f"{rows[row].table}: row {rows[row].number}: qw, qx, qy, qz = {words}: has the length "
-                f"{length[row]:.4f}, not 1; divide by it"
-            )
-        fields["rotation"] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    if "roll" in columns:  # R = Rz(yaw) Ry(pitch) Rx(roll): capital letters are turns about the axes that turned along.
-        fields["rotation"] = Rotation.from_euler(
-            "ZYX", numbers(rows, ANGLES, "degrees")[:, ::-1], degrees=True
-        ).as_matrix()
+    them. Stops at the faults so far."""
+    fields = {}
     if joints:
         values = joint_numbers(rows, joints)
         fields["joints"] = np.where([joint.endswith("_m") for joint in joints], values, np.radians(values))
     if "x" in columns:
         fields["position"] = numbers(rows, [axis for axis in PLACE if axis in columns], "metres")
+    quaternion = numbers(rows, QUATERNION if "qw" in columns else (), "parts of a quaternion")
+    angles = numbers(rows, ANGLES if "roll" in columns else (), "degrees")
+    length = np.linalg.norm(quaternion, axis=1)
+    for row in np.flatnonzero(np.abs(length - 1) > UNIT_WITHIN) if "qw" in columns else ():
+        words = ", ".join(rows[row].cells[column] for column in QUATERNION)
+        given = f"{rows[row].table}: row {rows[row].number}: qw, qx, qy, qz = {words}"
+        rows[row].faults.append(f"{given}: has the length {length[row]:.4f}, not 1; divide by it")
+    stop_at(faults)
+    if "qw" in columns:
+        fields["rotation"] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    if "roll" in columns:  # R = Rz(yaw) Ry(pitch) Rx(roll): capital letters are turns about the axes that turned along.
+        fields["rotation"] = Rotation.from_euler("ZYX", angles[:, ::-1], degrees=True).as_matrix()
     fields = {field: values.astype(np.float32) for field, values in fields.items()}
     if joints:
         fields["joint_names"] = tuple(joint.removeprefix("joint_") for joint in joints)
@@ -330,10 +342,12 @@ def read_moves(rows: list[Row], frame_of: dict[str, int]) -> list[Move]:
         row.wants(name != "", "trajectory", "name the trajectory that the image belongs to")
         whole = time.isascii() and time.isdecimal() and len(time) <= MOST_DIGITS
         row.wants(whole, "time", "give the number of the step, a whole number: 0, 1, 2, ...")
-        trajectories.setdefault(name, []).append((int(time), row))
+        trajectories.setdefault(name, []).append((int(time) if whole else -1, row))
     moves = []
     for index, (name, steps) in enumerate(trajectories.items()):
         steps.sort(key=lambda step: (step[0], step[1].number))
+        if not name or steps[0][0] < 0:  # Their order is not known: what else is wrong would follow from it.
+            continue
         where = f"of trajectory {name!r}"
         alone = "has one row only, so no move; add the image after it, or remove the row"
         steps[0][1].wants(len(steps) > 1, "trajectory", alone)
@@ -341,11 +355,11 @@ def read_moves(rows: list[Row], frame_of: dict[str, int]) -> list[Move]:
             same = f"row {row.number} {where} has the same time; give each step its own"
             after.wants(later != time, "time", same)
             gap = f"a gap {where}, after time {time} in row {row.number}"
-            after.wants(later == time + 1, "time", f"{gap}; add what is missing, or give the rest another trajectory")
+            after.wants(later <= time + 1, "time", f"{gap}; add what is missing, or give the rest another trajectory")
             action = row.cells["action"]
             row.wants(action != "", "action", f"is not the last row {where}; name the action taken after this image")
-            ends = frame_of[row.cells["image"]], frame_of[after.cells["image"]]
-            moves.append(Move(ends[0], action, ends[1], index, position, position == len(steps) - 2, row))
+            ends = (frame_of.get(each.cells["image"], -1) for each in (row, after))
+            moves.append(Move(next(ends), action, next(ends), index, position, position == len(steps) - 2, row))
         last = steps[-1][1]
         remedy = f"is the last row {where}, and no image shows where it led; leave it empty"
         last.wants(last.cells["action"] == "", "action", remedy)
@@ -353,11 +367,11 @@ def read_moves(rows: list[Row], frame_of: dict[str, int]) -> list[Move]:
 
 
 def contradicting(moves: list[Move], fields: dict, state: np.ndarray) -> None:
-    """Raise a `UserError` for two rows whose state and action are the same, but not the state that follows."""
+    """Find rows whose state and action are those of another row, but not the state that follows."""
     for one, other in frames_check.contradictions(state, fields["frame"], fields["action"], fields["next_frame"]):
-        row = moves[other].row
-        raise UserError(
-            f"{row.table}: row {row.number}: action = {moves[other].name!r}: leads from the same state as in row "
+        row, name = moves[other].row, moves[other].name
+        row.faults.append(
+            f"{row.table}: row {row.number}: action = {name!r}: leads from the same state as in row "
             f"{moves[one].row.number} to another; correct one, or tell the states apart in the column state"
         )
 
@@ -417,9 +431,9 @@ def grid_moves(
     image_at: dict[tuple[int, ...], int] = {}
     for frame, point in enumerate(points):
         first = image_at.setdefault(point, frame)
-        if first != frame and not (states_given and state[first] == state[frame]):
-            same = f"has the joints of row {rows[first].number}"
-            raise rows[frame].refusal("image", f"{same}; remove one, or give both the same value in a column state")
+        alike = first == frame or (states_given and state[first] == state[frame])
+        same = f"has the joints of row {rows[first].number}"
+        rows[frame].wants(alike, "image", f"{same}; remove one, or give both the same value in a column state")
     moving = [column for column in range(len(joints)) if np.ptp(places[column])]
     require(bool(moving), f"{table}: joints", joints, "no joint ever moves; give at least two values of one joint")
     actions = [f"{names[column]} {sign}" for column in moving for sign in "+-"]
@@ -460,11 +474,10 @@ def axis_of(table: Path, rows: list[Row], joint: str, values: np.ndarray, wraps:
     commonest = int((high - low).argmax())
     step = steps[low[commonest] : high[commonest]].mean()
     apart = np.rint(gaps / step).astype(int)
-    for place in np.flatnonzero(np.abs(gaps / step - apart) > GRID_WITHIN)[:1]:
+    for place in np.flatnonzero(np.abs(gaps / step - apart) > GRID_WITHIN):
         off = f"is off the grid: the value below is {settings[place]:g}, others are {step:g} apart"
-        raise rows[int(np.flatnonzero(which == place + 1)[0])].refusal(
-            joint, f"{off}; correct it, and give joints as they were commanded, not as they were measured"
-        )
+        row = rows[int(np.flatnonzero(which == place + 1)[0])]
+        row.wants(False, joint, f"{off}; correct it, and give joints as they were commanded, not as they were measured")
     places = np.append(0, np.cumsum(apart))[which]
     if not wraps:
         return places, 0

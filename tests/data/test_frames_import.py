@@ -237,6 +237,25 @@ def test_a_mistake_is_named_with_file_row_and_remedy(case, laboratory, tmp_path)
     assert not (tmp_path / "out.npz").exists()
 
 
+def test_every_row_that_is_wrong_is_named_in_one_pass(laboratory):
+    together = ("time is no number", "an action at the end", "a state that is empty", "no number", "not finite")
+    table = MOVES
+    for case in together:
+        old, new, _ = MISTAKES[case]
+        assert old in table
+        table = table.replace(old, new, 1)
+    with pytest.raises(UserError) as caught:
+        laboratory(table)
+    for case in together:
+        found = [line for line in str(caught.value).splitlines() if all(part in line for part in MISTAKES[case][2])]
+        assert len(found) == 1, (case, str(caught.value))
+    for name in ("b.png", "d.png"):
+        (laboratory.folder / name).write_bytes(b"no image")
+    with pytest.raises(UserError) as caught:
+        laboratory(MOVES)
+    assert ["b.png" in line or "d.png" in line for line in str(caught.value).splitlines()] == [True, True]
+
+
 def test_an_image_that_cannot_be_decoded_is_named(laboratory):
     for content in (b"", b"no image", (laboratory.folder / "b.png").read_bytes()[:30]):
         (laboratory.folder / "b.png").write_bytes(content)
