@@ -19,7 +19,7 @@ READY_FOR_ALL := $(ENVIRONMENT)/.ready-for-all
 .PHONY: train test test-long lint docs wheel clean
 
 train: $(READY)
-	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
+	$(ENVIRONMENT)/bin/infogoal train object_search --small --seeds $(SEEDS)
 
 test: $(READY) lint
 	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) $(TESTS)

@@ -70,7 +70,7 @@ def python(script: str, shown: str, milestone: str = "", **where: str) -> Step:
 
 def steps_of(seeds: int, own_task: str) -> list[Step]:
     """What is typed, in this order. own_task: its name in the registry."""
-    train = f"train object_search --seeds {seeds} --num-epochs 50"
+    train = f"train object_search --small --seeds {seeds}"
     return [
         Step("", 'python -c "import infogoal_jax"', [sys.executable, "-c", "import infogoal_jax"]),
         infogoal("--help"),

@@ -32,7 +32,7 @@ TOY = {
 """Every preset is that short."""
 SMALLER = (
     ("--num-epochs 200", "--num-epochs 2"),
-    ("--seeds 2 --num-epochs 50", "--seeds 2 --num-epochs 1"),
+    ("--small --seeds 2", "--small --seeds 2 --num-epochs 1"),
     ("--num-epochs 100", "--num-epochs 2"),
     ("--num-epochs 20 ", "--num-epochs 1 "),
     ("num_epochs=20", "num_epochs=1"),
