@@ -65,7 +65,7 @@ def from_gymnasium(
     *,
     radius: float | None = None,
     episode_length: int | None = None,
-    ends_at_goal: bool = False,
+    ends_at_goal: bool = True,
     read: Callable[[Any], Any] | None = None,
     write: Callable[[Any, Any], None] | None = None,
     simulators: int = 0,
@@ -208,8 +208,9 @@ class Simulator:
         require(bounded, "action_space", str(actions)[:60], "give finite bounds, between which actions lie")
 
     def limit(self) -> int | None:
-        """The time limit with which Gymnasium made the environment."""
-        return getattr(getattr(self.env, "spec", None), "max_episode_steps", None)
+        """The time limit of Gymnasium's wrapper, the shortest of several."""
+        own = [getattr(layer, "_max_episode_steps", None) for layer in self.layers]
+        return min(filter(None, own), default=None)
 
     def threshold(self) -> float | None:
         """The environment's distance below which a goal is reached, if it has one. Raises `UserError` where

@@ -72,21 +72,24 @@ the alpha, which OGBench chooses for each dataset (`impls/hyperparameters.sh`). 
 states and goals are seen as they are."""
 
 
+LIVE = {
+    "agents": {"td3": AGENTS["td3"] | {"hidden": (256, 256, 256)}, "sac": AGENTS["sac"] | {"hidden": (256, 256, 256)}},
+    "relabellings": {"her": {"skip_reached": True}},
+    "state_encoder": {"features": 256},
+    "training": TRAINING
+    | {"num_epochs": 30, "num_envs": 16, "rollout_steps": 50, "epochs_per_evaluation": 5, "evaluation_starts": 1},
+    "hyper": HYPER | {"discount": 0.95, "target_rate": 0.05, "epsilon": 0.3},
+}
+"""Of live environments: sizes and floats of the Fetch tasks, but few steps and many updates, for a step of a live
+simulator takes about a millisecond."""
+
+
 def of_library(task: str) -> Preset:
     """The preset of another library's environments (`envs/named.py`)."""
     words = {"brax": "brax", "playground": "MuJoCo Playground", "jaxgcrl": "JaxGCRL", "gymnasium": "Gymnasium"}
-    env = {"jaxgcrl": {"episode_length": 1001, "ends_at_goal": False}, "gymnasium": {"ends_at_goal": False}}
     of_task = preset(f"An environment of {words[task]}, by its name: --env {task}:NAME.", 100)
-    of_task = dataclasses.replace(of_task, env=env.get(task, {}))
-    return dataclasses.replace(of_task, **LIVE) if task == "gymnasium" else of_task
-
-
-LIVE = {
-    "training": TRAINING
-    | {"num_envs": 16, "num_epochs": 50, "rollout_steps": 50, "epochs_per_evaluation": 5, "evaluation_starts": 1},
-    "hyper": HYPER | {"discount": 0.95, "target_rate": 0.05, "epsilon": 0.3},
-}
-"""Few steps and many updates, for a step of a live simulator takes about a millisecond; floats of the Fetch tasks."""
+    env = {"episode_length": 1001, "ends_at_goal": False} if task == "jaxgcrl" else {}
+    return dataclasses.replace(of_task, env=env, **(LIVE if task == "gymnasium" else {}))
 
 
 PRESETS = {

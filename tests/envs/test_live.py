@@ -63,16 +63,13 @@ def timed(kind):
     return lambda: gymnasium.wrappers.TimeLimit(kind(), LIMIT)
 
 
-ARGUMENTS = {
-    Mass: {"make": timed(Mass), "episode_length": LIMIT},
-    Hidden: {"make": timed(Hidden), "episode_length": LIMIT, "read": read_hidden, "write": write_hidden},
-}
+ARGUMENTS = {Mass: {"make": timed(Mass)}, Hidden: {"make": timed(Hidden), "read": read_hidden, "write": write_hidden}}
 
 
 @functools.cache
 def task_of(kind, **more):
     """The task, made by those that need it."""
-    return envs.from_gymnasium(**ARGUMENTS[kind], num_evaluated=4, **more)
+    return envs.from_gymnasium(**{"ends_at_goal": False} | ARGUMENTS[kind] | more, num_evaluated=4)
 
 
 def actions_of(steps, rows=()):
@@ -286,7 +283,7 @@ def test_a_robot_that_fails_is_one_line(tmp_path, capsys):
 def test_fetch_of_gymnasium_robotics_is_learned(tmp_path):
     """Where it is installed; a whole episode is equal there too."""
     pytest.importorskip("gymnasium_robotics")
-    task = envs.from_gymnasium("FetchPickAndPlace-v4", num_evaluated=2)
+    task = envs.from_gymnasium("FetchPickAndPlace-v4", ends_at_goal=False, num_evaluated=2)
     alone = gymnasium.make("FetchPickAndPlace-v4")
     seen, _ = alone.reset(seed=int(jax.random.key_data(KEYS[0])[-1]))
     state, step = jax.jit(task.reset)(KEYS[0]), jax.jit(task.step)
@@ -295,7 +292,7 @@ def test_fetch_of_gymnasium_robotics_is_learned(tmp_path):
         assert np.array_equal(task.observe(state), whole)
         state, (seen, _, _, truncated, _) = step(state, action), alone.step(action)
     assert state.truncated and truncated
-    words = ["train", "--env", "gymnasium:FetchReach-v4", "--method", "none", "--num-epochs", "30", "--no-figures"]
+    words = ["train", "--env", "gymnasium:FetchReach-v4", "--method", "none", "--num-epochs", "20", "--no-figures"]
     assert main([*words, "--out", str(tmp_path / "run")]) == 0
     last = (tmp_path / "run" / "evaluations.jsonl").read_text().splitlines()[-1]
     assert json.loads(last)["train_goal/success_rate"] >= 0.9
