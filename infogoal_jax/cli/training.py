@@ -58,9 +58,8 @@ def train(
     Args:
         parts: Their names, which are in the configuration already.
         config: That of the task and the parts.
-        resume: Folder of a run to go on with. auto: the run in --out, or the newest under runs/ of this configuration
-            and these seeds; a new one where there is none.
-        small: The task's preset for first trials, in the configuration already.
+        resume: Folder of a run to go on with; auto: the one in --out, the newest like this, or a new one.
+        small: Begin with the task's preset for first trials.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
         out: Folder of the run; empty: a new one under runs/.
