@@ -32,7 +32,7 @@ class Preset:
     every method.
     methods: what each method changes, or learner, or learner with a relabelling (`infobot+all_goals`).
     description: the task in a line, for the help of the command line.
-    small: the preset of first trials, which fits a minute of two cores; None: the task has none.
+    small: the preset of first trials; None: the task has none.
     """
 
     agent: str
