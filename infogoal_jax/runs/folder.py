@@ -268,19 +268,14 @@ def unpacked(path: Path) -> Path:
         require(
             set(found) == set(NAMES), "files", sorted(found), "it is no file of `infogoal pack`; pack the run again"
         )
-    disk.make_folder(folder.parent)
-    beside = files.beside(folder)
-    with temporary(beside):
-        try:
-            beside.mkdir()
+    try:
+        with archives.new_folder(folder, "run") as beside:
             for name, member in found.items():
                 (beside / name).write_bytes(member)
             check_packed(beside, path)
-            if not folder.is_dir():  # Another process may have been faster.
-                os.replace(beside, folder)
-        except OSError as error:
-            if not folder.is_dir():
-                raise disk.disk_error(folder, error) from error
+    except UserError:
+        if not folder.is_dir():  # Another process may have been faster.
+            raise
     return folder
 
 
