@@ -222,7 +222,8 @@ def side_by_side(
 
     initial = jit(over_seeds(begin, count, at_once, mesh), out_shardings=by_member)
     keys = jax.ShapeDtypeStruct((count,), jax.random.key(0).dtype)
-    shapes = placed(jax.eval_shape(initial, (keys, hyper), *shared), by_member)
+    starts = placed((keys, hyper), by_member)  # As what is given later, or all would be traced a second time.
+    shapes = placed(jax.eval_shape(initial, starts, *shared), by_member)
 
     def first():
         keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds), jnp.uint32))

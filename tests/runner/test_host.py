@@ -32,6 +32,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.presets.loading import method_title
 from infogoal_jax.runner import memory, progress, training
 from infogoal_jax.runner.listeners import make_listeners
+from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.runner.training import Progress, run
 
 ON_TWO_DEVICES = """
@@ -189,6 +190,16 @@ def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
     shown = line.of_width(width)
     assert "0/8  compiling 1:05" in shown and "─" * progress.NARROWEST in shown and len(shown) <= width
     assert ("loading 2.0 s, tracing 0.0 s" in shown) == (width >= 100)
+
+
+def test_first_states_are_traced_once_for_all_members():
+    """And once more for one member alone, by whose size the memory is shared out."""
+    train, traced = make_train(hand_made.config(), hand_made.environment()), []
+    counted = dataclasses.replace(train, initial=lambda *given: traced.append(0) or train.initial(*given))
+    programs = side_by_side(counted, [0, 1])
+    assert len(traced) == 2
+    programs.states.initial()
+    assert len(traced) == 2
 
 
 def test_a_run_tells_its_phases_in_order(small_program, tmp_path):
