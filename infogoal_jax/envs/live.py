@@ -5,7 +5,10 @@ A task is pure, and a simulator is not. Its whole state therefore travels in the
 is put back before each step: a few simulators, a thread each, play every row of a batch inside one host callback. So
 the same key gives the same numbers, and seeds, resuming and evaluation work as for every task.
 
-The simulators run on the CPU. With a GPU each step waits for them, and the state goes to the host and back.
+A state has 37 kB for FetchReach and 24 kB for AntMaze, nearly all of it MuJoCo's arrays. To read it and to put it back
+takes 0.15 ms of a core beside 1.5 ms for a step of FetchReach, 0.06 beside 1.0 ms for AntMaze, and 0.08 beside 0.14 ms
+for PointMaze. The simulators run on the CPU. With a GPU each step waits for them, and the state goes to the host and
+back.
 """
 
 import ctypes
@@ -85,7 +88,8 @@ def from_gymnasium(
     arguments: of `from_brax`: `low`, `high`, `held_out`, `num_evaluated`, `starts`.
 
     Raises `UserError`, naming the argument, for what is no such environment, and for one that goes elsewhere once it is
-    put back into a state: where a step draws random numbers, or depends on what is not carried.
+    put back into a state: where a step draws random numbers, or depends on what is not carried. Each process of a sweep
+    makes its own: by an id, or by a file that `--import` names.
     """
     require((read is None) == (write is None), "write", write, "give both read and write, or neither")
     for name, function, count in (("read", read, 1), ("write", write, 2)):
@@ -98,13 +102,13 @@ def from_gymnasium(
     checks.whole(simulators, "simulators", 0, MOST_SIMULATORS)
     checks.text(source, "source", "say what is simulated, in words")
     made = maker(make)
-    first = Simulator(made, read, write)
+    first = said("make", Simulator, made, read, write)
     threshold, limit = first.threshold() if radius is None else radius, first.limit()
     require(threshold is not None, "radius", None, "the environment has no distance_threshold; give a distance")
     require(episode_length or limit, "episode_length", None, "the environment has no time limit; give one")
     first.radius = float(threshold)
-    first.check_put_back()
-    batch = Batch(first, made, read, write, simulators or min(len(os.sched_getaffinity(0)), MOST_SIMULATORS))
+    said(first.name, first.check_put_back)
+    batch = Batch(first, made, read, write, simulators or min(os.cpu_count() or 1, MOST_SIMULATORS))
     task = adapters.from_brax(
         batch,
         goal="desired_goal",
@@ -177,9 +181,8 @@ class Simulator:
         self.layers = [self.env]
         while hasattr(self.layers[-1], "env"):
             self.layers.append(self.layers[-1].env)
-        self.observed(said("make", partial(self.env.reset, seed=0))[0])
-        self.buffers, self.places = [], []
-        self.datas: list[Any] = []
+        self.observed(self.env.reset(seed=0)[0])
+        self.datas, self.buffers, self.places = [], [], []
         self.find_state()
         self.start = None
         self.start = self.read()
@@ -217,6 +220,8 @@ class Simulator:
         `compute_reward` takes goals well beyond it for reached."""
         radius = getattr(self.env.unwrapped, "distance_threshold", None)
         reward = getattr(self.env.unwrapped, "compute_reward", None)
+        if radius is not None:
+            checks.number(radius, "distance_threshold", 0.0, adapters.WIDEST)
         if radius is None or reward is None:
             return radius
         goal = np.asarray(self.env.reset(seed=0)[0]["desired_goal"], np.float64)
@@ -227,7 +232,7 @@ class Simulator:
         )
         remedy = "compute_reward takes goals that are farther away for reached; give radius"
         require((there != beyond).all(), "distance_threshold", radius, remedy)
-        return checks.number(radius, "distance_threshold", 0.0)
+        return radius
 
     def find_state(self) -> None:
         """Find what is carried: the buffers of MuJoCo, and the numbers among the attributes of each layer; of wrappers
@@ -345,6 +350,8 @@ def buffers_of(data: Any) -> list[np.ndarray]:
     each step makes anew is elsewhere. Derived numbers are among them, such as places of bodies, which are those of the
     last substep: an environment reads them before it steps. Left out is what is for drawing alone."""
     first = data.qpos.ctypes.data  # The first of them.
+    inside = data.qpos.size > 0 and first < data.xpos.ctypes.data < first + data.nbuffer
+    require(inside, "make", "MjData without joints", "give a model with a joint, or read and write")
     whole = np.ctypeslib.as_array((ctypes.c_uint8 * data.nbuffer).from_address(first))
     drawn = data.bvh_active
     if not drawn.size:
@@ -411,12 +418,10 @@ class Batch:
         def some(part: np.ndarray) -> None:
             simulator = self.free.get()
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    for row in part:
-                        played = said(simulator.name, play, simulator, row)
-                        for leaf, value in zip(leaves, jax.tree.leaves(played), strict=True):
-                            leaf[row] = value
+                for row in part:
+                    played = said(simulator.name, play, simulator, row)
+                    for leaf, value in zip(leaves, jax.tree.leaves(played), strict=True):
+                        leaf[row] = value
             finally:
                 self.free.put(simulator)
 

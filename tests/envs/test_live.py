@@ -195,6 +195,13 @@ class Broken(Mass):
             raise OSError("the motor is hot")
 
 
+class Silent(Mass):
+    """Which tells nothing at a reset."""
+
+    def reset(self, **given):
+        super().reset(**given)
+
+
 class Nowhere(Mass):
     """Without a threshold."""
 
@@ -219,6 +226,7 @@ IMAGE = spaces.Box(0, 255, (8, 8, 3), np.uint8)
         (Mass, {"episode_length": None}, "episode_length = None: the environment has no time limit"),
         (Mass, {"read": read_hidden}, "write = None: give both read and write"),
         (Mass, {"read": lambda env: "x", "write": write_hidden}, "the state of read"),
+        (Silent, {}, "make: raised TypeError"),
         (lambda: 1 / 0, {}, "make: raised ZeroDivisionError: division by zero"),
         (lambda: 0, {}, "make = 'int': has no observation_space"),
         ("Mass-v0", {}, "make = 'Mass-v0': Gymnasium has no such environment"),
