@@ -300,7 +300,7 @@ def test_fetch_of_gymnasium_robotics_is_learned(tmp_path):
         assert np.array_equal(task.observe(state), whole)
         state, (seen, _, _, truncated, _) = step(state, action), alone.step(action)
     assert state.truncated and truncated
-    words = ["train", "--env", "gymnasium:FetchReach-v4", "--method", "none", "--num-epochs", "20", "--no-figures"]
+    words = ["train", "--env", "gymnasium:FetchReach-v4", "--method", "none", "--num-epochs", "30", "--no-figures"]
     assert main([*words, "--out", str(tmp_path / "run")]) == 0
     last = (tmp_path / "run" / "evaluations.jsonl").read_text().splitlines()[-1]
     assert json.loads(last)["train_goal/success_rate"] >= 0.9
