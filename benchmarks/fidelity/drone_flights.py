@@ -69,7 +69,11 @@ def evaluate_inside(run, count: int) -> tuple[list[dict], float]:
     @jax.jit
     def rollout(seed):
         keys = jax.random.split(jax.random.key(seed), starts.key.shape)
-        return evaluate(policy, env, goals, starts.replace(key=keys), seed).success
+
+        def of_this_seed(observation, goal, key):
+            return policy(observation, goal, jax.random.fold_in(key, seed))
+
+        return evaluate(of_this_seed, env, goals, starts.replace(key=keys)).success
 
     success = np.mean([np.asarray(rollout(seed)) for seed in range(ROLLOUTS)], axis=0)
     cells = np.round((np.asarray(env.position)[np.asarray(starts.node)] - shelf.FIRST) / shelf.STEP).astype(int)
