@@ -72,7 +72,8 @@ def check_file(
     there."""
     try:
         with archives.naming("dataset", path, remedy):
-            archive = archives.read(path, remedy, version=None)
+            # A format that declares its version says what is wrong with it among everything else.
+            archive = archives.read(path, remedy, version=None if archives.FORMAT in schema else 1)
     except UserError as error:
         return [Finding("error", str(path), str(error).removeprefix(f"dataset = {str(path)!r}: "))]
     found, unreadable = read(archive, schema, remedy)

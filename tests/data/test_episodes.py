@@ -80,6 +80,8 @@ def test_images_stay_bytes():
 SEEN = recorded()["observations"]
 HOLE = np.where(np.arange(len(SEEN))[:, None] == 4, np.nan, SEEN).astype(np.float32)
 FAULTS = {
+    "another version": ({"format_version": np.array(2)}, ["format_version = 2: this program reads 1"]),
+    "a version that is none": ({"format_version": np.array(0.0)}, ["format_version = 0.0: this program reads 1"]),
     "a member is missing": ({"actions": None}, ["actions: missing"]),
     "nan": ({"observations": HOLE}, ["observations[4]: is [nan, nan]; give finite numbers for float32"]),
     "too large for float32": (
