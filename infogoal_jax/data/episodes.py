@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.data import archives
-from infogoal_jax.data.members import Fault, Finding, Member, check, check_file, fitting, limited, missing
+from infogoal_jax.data.members import KINDS, Fault, Finding, Member, check, check_file, fitting, limited, missing
 from infogoal_jax.errors import UserError, require
 
 REMEDY = "give an npz with observations, actions and terminals (docs/reference/datasets.md)"
@@ -190,7 +190,8 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
 
 def faults_of_ends(terminals: np.ndarray) -> Iterator[tuple[str, str]]:
     """What is wrong with where episodes end."""
-    if terminals.ndim != 1 or not len(terminals) or not np.isin(terminals, (0, 1)).all():
+    is_marks = terminals.dtype.kind in KINDS["0 or 1"] and terminals.ndim == 1 and len(terminals) > 0
+    if not is_marks or not np.isin(terminals, (0, 1)).all():
         return
     ends = np.flatnonzero(terminals)
     if not len(ends):

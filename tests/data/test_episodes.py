@@ -89,6 +89,7 @@ FAULTS = {
         ["give finite numbers for float32", "1 more rows"],
     ),
     "whole numbers": ({"observations": SEEN.astype(np.int64)}, ["observations: is int64; give float"]),
+    "records": ({"terminals": np.zeros(12, [("a", "i8")])}, ["terminals: is [('a', '<i8')]; give 0 or 1"]),
     "one axis": ({"observations": SEEN[:, 0]}, ["observations: has the shape [12]; give [rows, numbers"]),
     "complex": ({"actions": SEEN + 1j}, ["actions: is complex64; give float"]),
     "moves": (
