@@ -19,15 +19,26 @@ FLAGS = "--env.goal 4 5 --env.achieved 0 1 --env.radius 0.1"
 
 
 @dataclasses.dataclass(frozen=True)
-class NamedConfig(GoalTaskConfig):
-    """Which environment, and where its goal stands in the flattened observation."""
+class LibraryConfig(GoalTaskConfig):
+    """Which environment of another library."""
 
     id: str = ""
     """Of the environment, as its library has it."""
     episode_length: int = 1000
-    """Steps of an episode."""
+    """Steps of an episode; at most those of the environment's own time limit, where it has one."""
     radius: float = 0.0
     """Distance below which a goal is reached; 0: the environment's own."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        require(self.radius >= 0, "env.radius", self.radius, "give a distance above 0, or 0 for the environment's own")
+
+
+@dataclasses.dataclass(frozen=True)
+class NamedConfig(LibraryConfig):
+    """Which environment, and where its goal stands in the flattened observation."""
+
     goal: tuple[int, ...] = ()
     """Places of the goal that the environment draws; empty: those that are known for it."""
     achieved: tuple[int, ...] = ()
@@ -37,7 +48,7 @@ class NamedConfig(GoalTaskConfig):
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        check_numbers(self)
+        super().check(config)
         require(bool(self.goal) == bool(self.achieved), "env.achieved", self.achieved, "goes with --env.goal")
         require(bool(self.goal) or not self.hidden, "env.hidden", self.hidden, "goes with --env.goal")
 
@@ -54,26 +65,8 @@ class JaxGCRLConfig(NamedConfig):
     """As `NamedConfig`, of JaxGCRL, whose episodes go on at the goal."""
 
 
-@dataclasses.dataclass(frozen=True)
-class GymnasiumConfig(GoalTaskConfig):
-    """Which environment of Gymnasium; its goal is known."""
-
-    id: str = ""
-    """Of the environment, as Gymnasium has it."""
-    episode_length: int = 1000
-    """Steps of an episode, at most those of the environment's own time limit."""
-    radius: float = 0.0
-    """Distance below which a goal is reached; 0: the environment's own."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        check_numbers(self)
-
-
-def check_numbers(config: NamedConfig | GymnasiumConfig) -> None:
-    """Raise `UserError` for a length or a radius out of range."""
-    require(config.episode_length > 0, "env.episode_length", config.episode_length, "give a whole number above 0")
-    require(config.radius >= 0, "env.radius", config.radius, "give a distance above 0, or 0 for the environment's own")
+class GymnasiumConfig(LibraryConfig):
+    """As `LibraryConfig`, of Gymnasium, where a goal is known as one."""
 
 
 BRAX = {
@@ -154,12 +147,12 @@ def make_gymnasium(config: GymnasiumConfig) -> AdaptedTask:
     return live.from_gymnasium(config.id, radius=config.radius or known, **told)
 
 
-def with_recordings(make: Callable[[NamedConfig], AdaptedTask], config: NamedConfig) -> AdaptedTask:
+def with_recordings(make: Callable[[LibraryConfig], AdaptedTask], config: LibraryConfig) -> AdaptedTask:
     """The task, with what it learns from offline where a file is named."""
     return recorded_in(make(config), config.dataset)
 
 
-def traits(config: NamedConfig) -> Traits:
+def traits(config: LibraryConfig) -> Traits:
     """What such a task can be combined with."""
     recorded = bool(config.dataset)
     return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
