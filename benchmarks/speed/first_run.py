@@ -3,18 +3,14 @@ those of its updates, by what the compiled program computes.
 
     python benchmarks/speed/first_run.py run [--seeds 2] [--small] [--num-epochs 20]
     python benchmarks/speed/first_run.py update [--seeds 2] [--small]
-    python benchmarks/speed/first_run.py success [--seeds 5] [--small] [--num-epochs 40]
 
 run: seconds and CPU seconds of all threads. CPU seconds hardly change when the machine is busy. Training is said for
 the epochs that were asked for, without those of its evaluations. update: one epoch under XLA's profiler, each kernel
-counted where its HLO comes from. Kernels run side by side: shares are of the sum. success: what such a run tells of
-InfoGoal, HER and the bare agent, on test goals, greedy, with 10 % random actions, and with the probability among
-`EPSILONS` at which each method reaches most training goals; then InfoGoal's lead, seeds paired, with its 95 % interval.
+counted where its HLO comes from. Kernels run side by side: shares are of the sum.
 """
 
 import argparse
 import collections
-import dataclasses
 import itertools
 import os
 import re
@@ -30,9 +26,6 @@ PARTS = {
     "goal encoder": r"GaussianEncoder|GoalLayers|infogoal",
 }
 """What a kernel belongs to, by the names of modules in its metadata; all else is the rest, Adam among it."""
-
-EPSILONS = (0.0, 0.05, 0.1, 0.2, 0.3)
-"""Probabilities of a random action at test."""
 
 
 def clock() -> tuple[float, float]:
@@ -117,53 +110,15 @@ def update(arguments: argparse.Namespace) -> None:
         print(f"| {part} | {shares} |")
 
 
-def success(arguments: argparse.Namespace) -> None:
-    """Train each method and print its success on test goals at equal noise."""
-    import jax
-    import numpy as np
-
-    from infogoal_jax import make_train, presets
-    from infogoal_jax.report.statistics import mean_interval, paired_difference
-    from infogoal_jax.runner.compilation import jit, use_compilation_cache
-
-    use_compilation_cache()
-    print("| method | greedy | ε 0.1 | own best |\n|---|---|---|---|", flush=True)
-    found = {}
-    for method in ("infogoal", "her", "none"):
-        config = presets.load("object_search", method, **({"small": True} if arguments.small else {}))
-        epochs = arguments.num_epochs or config.num_epochs
-        config = dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs)
-        train = make_train(config)
-        keys = jax.vmap(jax.random.key)(np.arange(arguments.seeds))
-        over = jax.vmap(lambda key, hyper, env, train=train: train(key, hyper, env).params, in_axes=(0, None, None))
-        params = jit(over)(keys, config.hyper, train.env)
-        starts = config.evaluation_starts
-        score = jit(
-            jax.vmap(lambda *of, train=train, starts=starts: train.evaluate(*of, starts), in_axes=(0, None, None))
-        )
-        at = {
-            epsilon: jax.device_get(score(params, config.hyper.replace(test_epsilon=epsilon), train.env))
-            for epsilon in EPSILONS
-        }
-        best = max(EPSILONS, key=lambda epsilon, at=at: at[epsilon]["train_goal/success_rate"].mean())
-        found[method] = [at[epsilon]["test_goal/success_rate"] for epsilon in (0.0, 0.1, best)]
-        cells = " | ".join(mean_interval(values).show(2) for values in found[method])
-        print(f"| {method} | {cells} (ε {best:g}) |", flush=True)
-    for method in ("her", "none"):
-        both = zip(found["infogoal"], found[method], strict=True)
-        cells = " | ".join(paired_difference(ours, theirs).show(2) for ours, theirs in both)
-        print(f"| infogoal - {method} | {cells} |")
-
-
 def main() -> None:
     """Print the table that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=("run", "update", "success"))
+    parser.add_argument("table", choices=("run", "update"))
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--small", action="store_true", help="the preset for first trials")
     parser.add_argument("--num-epochs", type=int, default=0, help="in place of the preset's")
     arguments = parser.parse_args()
-    {"run": run, "update": update, "success": success}[arguments.table](arguments)
+    {"run": run, "update": update}[arguments.table](arguments)
     from infogoal_jax.report.statistics import describe_machine
 
     print(f"\n{describe_machine()}, load {os.getloadavg()[0]:.1f}", file=sys.stdout)
