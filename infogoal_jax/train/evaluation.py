@@ -80,9 +80,9 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
 
     policy: (observations [E, ...], goals [E, *shape] or what the view shows [E, ...], key) -> actions [E, ...].
     goals: [M, *shape], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
-    for these goals, in their order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError`
-    for goals that the task does not have, for starts that are neither or for other goals, for a view of another shape,
-    and for what is no policy.
+    for these goals, in their order. seed: of the starts that are drawn and of the policy's noise, a number that is
+    known when it is compiled. Raises `UserError` for goals that the task does not have, for starts that are neither or
+    for other goals, for a view of another shape, and for what is no policy.
     """
     check_is_environment(env, "give the policy first, and an environment after it")
     check_simulated(env, "env", type(env).__name__)
