@@ -59,9 +59,26 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
+ALIKE, PART = 0.7, 0.8
+"""How much of two names has to agree for one to be taken for a slip of the other, from 0 to 1; and what counts for a
+part of a name, such as `push` of `fetch_push`, its beginning, or its letters in another order."""
+
+
 def nearest(name: str, known: list[str]) -> str:
-    """`" Did you mean 'x'?"` for the known name closest to `name`, or an empty string."""
+    """`" Did you mean 'x'?"` for the known name that `name` is a slip or a part of, or an empty string: a poor guess is
+    worse than none. Dashes before a flag, case and what joins words do not count."""
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4) if name else []
-    return f" Did you mean {close[0]!r}?" if close else ""
+    def plain(one: str) -> str:
+        return re.sub(r"[\W_]+", " ", one).strip().casefold()
+
+    def likeness(one: str) -> tuple[float, float]:
+        there = plain(one)
+        begins = min(len(given), len(there)) > 2 and (there.startswith(given) or given.startswith(there))
+        part = begins or f" {given} " in f" {there} " or sorted(given) == sorted(there)
+        ratio = difflib.SequenceMatcher(None, there, given).ratio()
+        return max(ratio, PART * part), ratio
+
+    given = plain(name)
+    best = max(known, key=likeness, default="") if given else ""
+    return f" Did you mean {best!r}?" if best and likeness(best)[0] >= ALIKE else ""

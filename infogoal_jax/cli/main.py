@@ -25,9 +25,9 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.imports import import_installed, load, take_imports
 from infogoal_jax.stopping import NOTHING, STATUS, at_words
 
-HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
-`infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version. With `--import my_task.py`
-every command knows the tasks and parts that this file registers."""
+HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with
+`infogoal train object_search --small`; `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the
+version. With `--import my_task.py` every command knows the tasks and parts that this file registers."""
 
 
 GROUPS = {
