@@ -5,12 +5,14 @@ made with; that alone never runs anything.
 """
 
 import atexit
+import functools
 import hashlib
+import importlib.metadata
 import importlib.util
 import shutil
 import sys
 import tempfile
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,9 +76,15 @@ def traceback_lines(error: BaseException) -> list[tuple[str, int]]:
     return found
 
 
+@functools.cache
+def entry_points(group: str) -> EntryPoints:
+    """Those of installed packages, looked for once in a process: every file of every package is asked."""
+    return importlib.metadata.entry_points(group=group)
+
+
 def import_installed() -> None:
     """Import what installed packages register. Raises `UserError`, naming the entry point, for one that fails."""
-    for point in entry_points(group=GROUP):
+    for point in entry_points(GROUP):
         load(point)
 
 

@@ -7,7 +7,6 @@ import shutil
 import signal
 import sys
 import textwrap
-from importlib.metadata import entry_points
 
 import tyro
 
@@ -22,7 +21,7 @@ from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.imports import import_installed, load, take_imports
+from infogoal_jax.imports import entry_points, import_installed, load, take_imports
 from infogoal_jax.stopping import NOTHING, STATUS, at_words
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with
@@ -58,7 +57,7 @@ def commands(first: str = "") -> Group:
     imported unless the first word names one of the library's own."""
     if first in COMMANDS.commands:
         return COMMANDS
-    added = {point.name: load(point) for point in entry_points(group="infogoal.commands")}
+    added = {point.name: load(point) for point in entry_points("infogoal.commands")}
     return Group(HELP, COMMANDS.commands | added)
 
 

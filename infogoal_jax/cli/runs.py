@@ -1,7 +1,6 @@
 """Commands that look at what is there: evaluate, report, compare, video, pack."""
 
 import os
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +8,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from infogoal_jax.cli.commands import check_seed
 from infogoal_jax.errors import UserError, counted, require, typed
-from infogoal_jax.imports import load
+from infogoal_jax.imports import entry_points, load
 
 
 def evaluate(
@@ -55,7 +54,7 @@ def report(
         style: Style sheet of matplotlib that is applied after the package's own.
     """
     # Packages that leave folders of their own name their file and what draws it, as an entry point.
-    for point in entry_points(group="infogoal.reports"):
+    for point in entry_points("infogoal.reports"):
         if (Path(run) / point.name).exists():
             print(f"figure      {load(point)(Path(run), format, captions, style)}")
             return 0

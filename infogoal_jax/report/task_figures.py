@@ -5,13 +5,12 @@ entry points of the group `infogoal.figures`, by the names of the tasks.
 """
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 
 from matplotlib.figure import Figure
 
 from infogoal_jax import checks
 from infogoal_jax.checked_dict import CheckedDict
-from infogoal_jax.imports import load
+from infogoal_jax.imports import entry_points, load
 from infogoal_jax.report.canvas import Subject
 
 GROUP = "infogoal.figures"
@@ -34,6 +33,6 @@ registry = Drawers()
 def draw_of_task(subject: Subject) -> Mapping[str, Figure | None]:
     """The figures that the task of this run brings, by name; none for a task that nobody has figures of."""
     task, found = subject.run.config.task, {}
-    for draw in [registry[task]] if task in registry else map(load, entry_points(group=GROUP, name=task)):
+    for draw in [registry[task]] if task in registry else map(load, entry_points(GROUP).select(name=task)):
         found |= draw(subject)
     return found
