@@ -56,7 +56,9 @@ def test_actions_at_the_edge_have_a_finite_density_and_gradient():
     assert np.isfinite(found) and np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize(("bounded", "largest"), [(False, None), (True, None), (True, 1.2)])
+@pytest.mark.parametrize(
+    ("bounded", "largest"), [(False, None), pytest.param(True, None, marks=pytest.mark.long), (True, 1.2)]
+)
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """The trained actor draws what follows, the smaller target critic values it; entropy is worth its temperature in
     targets that have no bounds."""

@@ -16,7 +16,9 @@ def agent_of(**changes):
     return agents.registry.entry("td3").make(td3.TD3Config(hidden=(8, 8), **changes), vector_agents.env())
 
 
-@pytest.mark.parametrize(("bounded", "largest"), [(False, None), (True, None), (True, 1.2)])
+@pytest.mark.parametrize(
+    ("bounded", "largest"), [(False, None), pytest.param(True, None, marks=pytest.mark.long), (True, 1.2)]
+)
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """Without target noise: the smaller of the target critics sets one target for both (Eq. 10), between 0 and the
     largest value if it is bounded; the actor climbs the first critic and pays for large actions."""

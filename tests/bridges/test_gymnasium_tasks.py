@@ -31,7 +31,14 @@ def vector():
     return TaskVector(hand_made.environment(STEPS), 3)
 
 
-@pytest.mark.parametrize("make", [hand_made.environment, hand_made_frames.manipulation, hand_made_frames.qa])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(hand_made.environment, marks=pytest.mark.long),
+        pytest.param(hand_made_frames.manipulation, marks=pytest.mark.long),
+        hand_made_frames.qa,
+    ],
+)
 def test_gymnasium_finds_nothing_to_warn_of(make):
     check_env(gymnasium.make(bridge.IDS["object_search"], task=make(), render_mode="rgb_array").unwrapped)
 

@@ -312,19 +312,6 @@ def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, c
     assert "--resume run" in capsys.readouterr().err
 
 
-def test_importing_the_package_starts_no_device_and_prints_nothing():
-    """And what draws does without the statistics of scipy, whose import takes a second."""
-    code = """
-import sys
-import infogoal_jax, infogoal_jax.report.figures
-from jax._src import xla_bridge
-assert not xla_bridge._backends
-assert not {'wandb', 'tensorboardX', 'scipy.stats'} & {*sys.modules}
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "" and done.stderr == ""
-
-
 @pytest.mark.parametrize("words", [["--resume", ""], ["--resume="], ["--out", ""], ["--out="]])
 def test_a_folder_that_is_empty_is_not_one_that_is_left_out(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

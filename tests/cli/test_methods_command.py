@@ -181,9 +181,16 @@ def test_learners_said_to_have_no_loss_have_none(name):
         assert learner.loss({}, (), None, NoHyperparameters(), None)[0] == 0
 
 
-def test_the_table_loads_no_data_and_starts_no_device():
+def test_the_package_and_the_table_load_no_data_and_start_no_device():
+    """Importing the package prints nothing, and what draws does without the statistics of scipy, whose import takes a
+    second."""
     code = """
 import sys
+import infogoal_jax, infogoal_jax.report.figures
+from jax._src import xla_bridge
+assert not xla_bridge._backends
+assert not {'wandb', 'tensorboardX', 'scipy.stats'} & {*sys.modules}
+print("imported")
 from infogoal_jax import envs, presets
 from infogoal_jax.cli.main import main
 def refuse(*arguments):
@@ -191,11 +198,11 @@ def refuse(*arguments):
 envs.load = refuse
 envs.registry.update({name: entry._replace(make=refuse) for name, entry in envs.registry.items()})
 assert main(["methods"]) == 0
-from jax._src import xla_bridge
 assert not xla_bridge._backends
 assert not {"mujoco", "djitellopy", "av", "ultralytics", "infogoal_drone.mission"} & {*sys.modules}
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("imported\n") and done.stderr == ""
     for name in (*presets.METHODS, *presets.TASKS, *agents.registry):
         assert name in done.stdout
 

@@ -6,6 +6,7 @@ import json
 import sys
 
 import gymnasium
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +18,8 @@ from infogoal_jax import UserError, envs
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import live
 from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.loading import make_train
+from infogoal_jax.runner import training
 
 KEYS = jax.random.split(jax.random.key(0), 3)
 LIMIT = 12
@@ -111,7 +114,7 @@ def test_success_is_the_environments_own():
     assert 0 < sum(told) < LIMIT
 
 
-@pytest.mark.parametrize("kind", [Mass, Hidden])
+@pytest.mark.parametrize("kind", [Mass, pytest.param(Hidden, marks=pytest.mark.long)])
 def test_rows_do_not_know_of_each_other(kind):
     """A batch over seeds and environments, by one simulator or by three, is each of its rows."""
     keys = jax.random.split(KEYS[1], (2, 3))
@@ -275,7 +278,9 @@ def flags(epochs):
     return ["--num-epochs", str(epochs), "--no-figures", *(f"--{n.replace('_', '-')}={v}" for n, v in SMALL.items())]
 
 
-def test_a_robot_that_fails_is_one_line(tmp_path, capsys):
+def test_a_robot_that_fails_is_one_line(tmp_path, monkeypatch, capsys):
+    """In the evaluation, where nothing is updated."""
+    monkeypatch.setattr(training, "make_train", lambda *given: hand_made.untrained(make_train(*given)))
     gymnasium.register("Broken-v0", entry_point=Broken, max_episode_steps=4 * LIMIT)
     try:
         out = ["--out", str(tmp_path / "run")]

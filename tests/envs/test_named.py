@@ -49,7 +49,11 @@ def test_words_mean_a_task_and_a_name(words, meant):
         ("--env brax:reachr", "env.id = 'reachr': brax has no such environment. Did you mean 'reacher'?"),
         ("--env brax:ant", "env.goal = (): no goal of brax:ant is known; name places"),
         ("--env brax:reacher --env.goal 4 5", "env.achieved = (): goes with --env.goal"),
-        ("--env brax:reacher --env.goal 4 --env.achieved 99 --env.radius 1", "achieved = [99]: give places"),
+        pytest.param(
+            "--env brax:reacher --env.goal 4 --env.achieved 99 --env.radius 1",
+            "achieved = [99]: give places",
+            marks=pytest.mark.long,
+        ),
         ("--env brax:reacher --env.goal 4 --env.achieved 0", "env.radius = 0.0: goes with --env.goal"),
         ("--env brax:reacher --env.radius -1", "env.radius = -1.0: give a distance"),
     ],

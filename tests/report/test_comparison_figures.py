@@ -161,7 +161,7 @@ def test_any_metric_is_compared_among_the_runs_that_have_it(folders, env, tmp_pa
         check_metric("first_reached", compared)
 
 
-@pytest.mark.parametrize("ending", ["pdf", "svg"])
+@pytest.mark.parametrize("ending", [pytest.param("pdf", marks=pytest.mark.long), "svg"])
 def test_figures_for_a_paper(ending, folders, env, tmp_path):
     """Letters stay letters, and on request what stands around the panels is a text beside the figure."""
     path = draw_comparison(folders, tmp_path / f"with.{ending}", env)

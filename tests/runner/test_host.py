@@ -194,7 +194,7 @@ def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
 
 def test_first_states_are_traced_once_for_all_members():
     """And once more for one member alone, by whose size the memory is shared out."""
-    train, traced = make_train(hand_made.config(), hand_made.environment()), []
+    train, traced = make_train(hand_made.config("none"), hand_made.environment()), []
     counted = dataclasses.replace(train, initial=lambda *given: traced.append(0) or train.initial(*given))
     programs = side_by_side(counted, [0, 1])
     assert len(traced) == 2
@@ -289,6 +289,7 @@ def test_tensorboard_has_every_number_the_figures_and_the_video(pictures, tmp_pa
         assert (value.image.width, value.image.height) == (40, 20)
 
 
+@pytest.mark.long
 def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures, tmp_path, monkeypatch):
     pytest.importorskip("wandb")
     for name, value in {"WANDB_MODE": "offline", "WANDB_SILENT": "true", "HOME": str(tmp_path)}.items():

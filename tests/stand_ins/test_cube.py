@@ -168,6 +168,7 @@ def test_stickers_are_those_of_a_cube_and_tell_its_faces_apart(seed):
     assert np.linalg.det(scene.axes) == pytest.approx(1) and scene.axes[1, 2] < -0.8
 
 
+@pytest.mark.long
 def test_inset_shows_the_stickers_that_face_the_camera(narrow, scene):
     """In every frame of a built dataset, under its own light, each sticker in view has its colour where the frame's
     rotation puts it."""

@@ -132,9 +132,14 @@ def test_first_five_updates_of_vmapped_seeds_equal_single_runs():
     np.testing.assert_allclose(same.epochs["agent/loss"], alone.epochs["agent/loss"], atol=1e-4)
 
 
-def test_an_environment_that_is_passed_is_not_compiled_in(train):
+@pytest.fixture(scope="module")
+def passed(train):
+    """The traced program, to which the environment is passed."""
+    return jax.make_jaxpr(train)(jax.random.key(0), train.config.hyper, train.env)
+
+
+def test_an_environment_that_is_passed_is_not_compiled_in(train, passed):
     """Large datasets travel as arguments: no array of theirs is a constant of the program."""
-    passed = jax.make_jaxpr(train)(jax.random.key(0), train.config.hyper, train.env)
     closed_over = jax.make_jaxpr(train)(jax.random.key(0), train.config.hyper)
     images = train.env.images.size
     assert (
@@ -259,8 +264,6 @@ def test_a_line_is_printed_for_all_seeds_of_an_evaluation(tmp_path):
     ]
 
 
-def test_a_callback_leaves_nothing_in_a_program_without_it():
-    config, env = hand_made.config("none"), hand_made.environment()
-    both = make_train(config, env, lambda epoch, metrics: None), make_train(config, env)
-    with_it, without = (jax.make_jaxpr(train)(jax.random.key(0)) for train in both)
-    assert "debug_callback" in str(with_it) and "callback" not in str(without)
+def test_a_callback_leaves_nothing_in_a_program_without_it(passed):
+    without = jax.make_jaxpr(make_train(hand_made.config("none"), hand_made.environment()))(jax.random.key(0))
+    assert "debug_callback" in str(passed) and "callback" not in str(without)

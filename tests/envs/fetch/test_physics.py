@@ -89,8 +89,20 @@ def forward(reach, twin, position):
     )
 
 
+@pytest.fixture(scope="module")
+def constraint_rows(reach):
+    """(motion, target, quaternion) -> (inertia, force, rows), compiled once."""
+
+    @jax.jit
+    def found(motion, target, quaternion):
+        axes, inertia, force = reach.multibody.dynamics(motion.frames, None, motion.position, motion.velocity)
+        return inertia, force, reach.rows(motion, axes, None, target, quaternion)
+
+    return found
+
+
 @pytest.mark.parametrize("pose", POSES)
-def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
+def test_rows_and_acceleration_are_mujocos(reach, twin, constraint_rows, pose):
     """Jacobian, stiffness and reference of every active row, and the acceleration at the minimum, agree with MuJoCo's
     engine in C.
 
@@ -98,10 +110,7 @@ def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
     reference is compared with MJX.
     """
     data, motion, target, quaternion = forward(reach, twin, POSES[pose])
-    axes, inertia, force = jax.jit(
-        lambda motion: reach.multibody.dynamics(motion.frames, None, motion.position, motion.velocity)
-    )(motion)
-    rows = jax.jit(lambda motion, axes: reach.rows(motion, axes, None, target, quaternion))(motion, axes)
+    inertia, force, rows = constraint_rows(motion, target, quaternion)
     active = np.flatnonzero(np.array(rows.stiffness) > 0)
     jacobian = data.efc_J.reshape(-1, twin.nv)
     assert len(active) == len(jacobian)
