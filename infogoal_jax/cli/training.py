@@ -232,15 +232,12 @@ def train_parts(
     """Train settings and seeds as jobs, where the engine says, and show what came of them. Returns the exit status."""
     import functools
 
-    from rich.console import Console
-
-    from infogoal_jax.report.summary import say
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
     from infogoal_jax.runner.executors import run_in_processes, run_on_ray
     from infogoal_jax.runner.parts import NAME, Plan, jobs_of, read_plan, run_parts, start
+    from infogoal_jax.runner.progress import working_on
     from infogoal_jax.runs.checkpoint import check_same_config
 
-    show = functools.partial(say, Console())
     if resume:
         planned, plan = read_plan(folder)
         check_same_config(folder / NAME, planned, config)
@@ -249,13 +246,13 @@ def train_parts(
         plan = Plan(settings, list(seeds), vmap_size)
     if where.engine == "ray":
         execute = functools.partial(run_on_ray, workers=where.processes, address=where.ray_address)
-        run_parts(config, plan, folder, resume, execute, show)
+        run_parts(config, plan, folder, resume, execute)
     elif where.processes > 1:
         if not resume:
             start(config, plan, folder)
         run_in_processes(["train", "--resume", str(folder), "--quiet"], where.processes, where.gpus)
     else:
-        run_parts(config, plan, folder, resume, say=show)
+        run_parts(config, plan, folder, resume)
     if where.quiet:
         return 0
     if not all(job.is_done(folder) for job in jobs_of(config, plan)):
@@ -263,7 +260,9 @@ def train_parts(
         return STATUS
     print_sweep(folder, plan)
     if figures:
-        for path in draw_sweep(folder, plan):
+        with working_on("drawing"):
+            paths = draw_sweep(folder, plan)
+        for path in paths:
             print(f"figure      {path}")
     return 0
 

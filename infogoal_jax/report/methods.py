@@ -9,6 +9,7 @@ from rich.table import Table
 from infogoal_jax import agents, exploration, learners, presets, relabelling
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import Refusal, reasons_against, remarks
+from infogoal_jax.runner.progress import say
 
 WIDEST = 100
 """Columns of the list: longer lines are hard to read."""
@@ -28,12 +29,10 @@ def description(name: str) -> str:
     method = presets.METHODS[name]
     if method.explorer != "none":
         entry = exploration.registry.entry(method.explorer)
+    elif method.relabelling and method.learner == "none":
+        entry = relabelling.registry.entry(method.relabelling)
     else:
-        entry = (
-            relabelling.registry.entry(method.relabelling)
-            if method.relabelling
-            else learners.registry.entry(method.learner)
-        )
+        entry = learners.registry.entry(method.learner)
     return " ".join((inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n\n")[0].split())
 
 
@@ -107,5 +106,5 @@ def print_combination(task: str, method: str, **parts: str | None) -> bool:
     lines = [f"{named}: {'does not work' if found else 'works'}"]
     lines += [f"{refusal.field} = {refusal.value!r}: {refusal.reason}: {refusal.remedy}" for refusal in found]
     for line in lines + ([] if found else remarks(config)):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        say(console, line)
     return not found

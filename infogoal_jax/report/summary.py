@@ -2,7 +2,6 @@
 from, what went wrong."""
 
 import re
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, re
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runner import memory, training
 from infogoal_jax.runner.compilation import jit
-from infogoal_jax.runner.progress import working_on
+from infogoal_jax.runner.progress import say, working_on
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
@@ -133,19 +132,6 @@ def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
         if "corrupted_test_goal/success_rate" in scores
         else ""
     )
-
-
-def say(console: Console, text: str, label: str = "", style: str | None = None) -> None:
-    """Print a text, and what it is about before it. On a terminal lines are broken between words, below the text's
-    beginning; a word that is longer than a line, such as a path, stays whole. In a file each stays one line."""
-    line = f"{label:<11} {text}" if label else text
-    if console.is_terminal:
-        indent = " " * 12 if label else ""
-        line = "\n".join(
-            textwrap.fill(part, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-            for part in line.splitlines()
-        )
-    console.print(line, style=style, soft_wrap=True, highlight=False, markup=False)
 
 
 def print_summary(sweep: training.RunResult, console: Console | None = None) -> None:

@@ -13,9 +13,10 @@ from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.report.summary import number_table, print_run, say
+from infogoal_jax.report.summary import number_table, print_run
 from infogoal_jax.runner.executors import Outcome, run_here
 from infogoal_jax.runner.parts import Plan, run_parts, settings_of
+from infogoal_jax.runner.progress import say
 from infogoal_jax.runner.training import checked_seeds
 
 SHOWN = ("train_goal/success_rate", "validation_goal/success_rate", "test_goal/success_rate")

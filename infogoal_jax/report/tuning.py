@@ -10,8 +10,8 @@ from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
-from infogoal_jax.report.summary import number_table, say
-from infogoal_jax.runner.progress import progress_line
+from infogoal_jax.report.summary import number_table
+from infogoal_jax.runner.progress import progress_line, say
 from infogoal_jax.runner.search import Watch
 from infogoal_jax.runs.search import TuneResult, write_scores
 

@@ -7,6 +7,7 @@ its jobs: a job is taken by locks in the folder, which go with the process, howe
 
 import contextlib
 import dataclasses
+import functools
 import logging
 import math
 import os
@@ -21,10 +22,13 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
+from rich.console import Console
+
 import infogoal_jax
 from infogoal_jax.errors import UserError, counted
 from infogoal_jax.files import read_bytes
 from infogoal_jax.imports import contents, import_contents, import_flags
+from infogoal_jax.runner import progress
 from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runs import disk
 from infogoal_jax.stopping import StopRequest, stop_on_signal
@@ -50,12 +54,14 @@ class Place:
     folder: of the files.
     deadline: seconds of `time.time()` at which it has to have stopped.
     say: prints a line.
+    show: the line of progress that a job is shown on; None: it prints lines of its own.
     stopping: set when it is to stop as soon as it can.
     """
 
     folder: Path
     deadline: float = math.inf
     say: Callable[[str], None] = print
+    show: Callable[[Any], Any] | None = None
     stopping: threading.Event = dataclasses.field(default_factory=threading.Event)
 
     def left(self) -> float:
@@ -138,14 +144,14 @@ def end(job: Job, folder: Path, outcome: Outcome) -> None:
     job.tidy(folder)
 
 
-def run_in_processes(arguments: list[str], processes: int, gpus: int, say=print) -> list[int]:
+def run_in_processes(arguments: list[str], processes: int, gpus: int, say: Callable | None = None) -> list[int]:
     """Run `infogoal ARGUMENTS`, which works on a folder, in so many processes. What they print is printed, with the
     number of the process. Returns their exit statuses.
 
     gpus: how many, over which processes are spread; 0: leave devices as they are. A signal is handed on: each process
     stops after its evaluation.
     """
-    children, readers = [], []
+    children, readers, say = [], [], say or functools.partial(progress.say, Console())
     if take_turns(processes, gpus):
         say(f"infogoal: processes on one GPU take turns; start `{MPS} -d` before, and they compute at the same time")
     with stop_on_signal() as stop:
@@ -214,7 +220,7 @@ def repeat(number: int, child: subprocess.Popen, say) -> None:
     """Print what a process prints."""
     with child.stdout:
         for line in child.stdout:
-            say(f"{number}: {line.rstrip()}", flush=True)
+            say(f"{number}: {line.rstrip()}")
 
 
 # A Ray cluster. Ray places jobs on machines and GPUs, and begins one anew whose machine or process was lost. Workers

@@ -13,7 +13,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets.loading import method_title, run_title
 from infogoal_jax.runner import training
-from infogoal_jax.runner.progress import progress_line
+from infogoal_jax.runner.progress import ProgressLine, progress_line
 from infogoal_jax.runs.configuration import to_dict
 
 NOTHING_SENT = ("offline", "dryrun", "disabled")
@@ -64,6 +64,17 @@ def success_in_words(progress: training.Progress) -> list[str]:
     """Mean success over seeds of the last evaluation: `train 0.34`, `test 0.22`."""
     means = seed_means(progress.evaluations)
     return [f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means]
+
+
+def advancing(line: ProgressLine) -> training.Listener:
+    """What shows on a line how far its run is, how well it does and how fast."""
+
+    def advance(progress: training.Progress) -> None:
+        numbers = "  ".join(success_in_words(progress))
+        rates = [f"{progress.env_steps_per_second:,.0f} env steps/s"] * bool(progress.env_steps_per_second)
+        line.advance(progress.epoch, numbers, "  ".join([*rates, f"{progress.updates_per_second:,.0f} updates/s"]))
+
+    return advance
 
 
 def add_picture(writer, path: Path, epoch: int) -> None:
@@ -168,13 +179,7 @@ def make_listeners(
     with ExitStack() as bar:
         words = f"{run_title(config)} x {num_seeds}"
         line = bar.enter_context(progress_line(words, config.num_epochs))
-
-        def advance(progress: training.Progress):
-            numbers = "  ".join(success_in_words(progress))
-            rates = [f"{progress.env_steps_per_second:,.0f} env steps/s"] * bool(progress.env_steps_per_second)
-            line.advance(progress.epoch, numbers, "  ".join([*rates, f"{progress.updates_per_second:,.0f} updates/s"]))
-
-        listeners.append(advance)
+        listeners.append(advancing(line))
         try:
             yield Listeners(line.phase, tuple(listeners), bar.close, pictures)
         finally:

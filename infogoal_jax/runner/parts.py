@@ -14,14 +14,14 @@ import dataclasses
 import itertools
 import re
 import shutil
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import flax.serialization
 import jax
 import numpy as np
+from rich.console import Console
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, nearest, require, shown
@@ -29,8 +29,8 @@ from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.imports import checksums
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
-from infogoal_jax.runner.listeners import success_in_words
-from infogoal_jax.runner.progress import COMPILING, clock
+from infogoal_jax.runner.listeners import advancing
+from infogoal_jax.runner.progress import ProgressLine, moving
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import Place as File
@@ -118,26 +118,17 @@ class RunJob:
         folder = self.folder(place.folder)
         resume = (folder / configuration.NAME).exists()
 
-        begun = 0, time.monotonic()
-
-        def phase(name: str, epoch: int) -> None:
-            nonlocal begun
-            begun = epoch, time.monotonic()
-            if name == "compiling":
-                place.say(f"{self.name}: compiling, {COMPILING}")
-
-        def advanced(progress: training.Progress) -> None:
-            first, since = begun
-            an_epoch = (time.monotonic() - since) / max(progress.epoch - first, 1)
-            left = an_epoch * (progress.num_epochs - progress.epoch)
-            words = [f"{self.name}: epoch {progress.epoch}/{progress.num_epochs}", *success_in_words(progress)]
-            place.say("  ".join(words + [f"{clock(left)} left"] * (progress.epoch < progress.num_epochs)))
-
+        line = place.show(self) if place.show else ProgressLine(self.name, self.config.num_epochs, None, place.say)
         try:
-            training.run(self.config, self.seeds, folder, resume, (advanced,), phase=phase, left=place.left)
+            listeners = (advancing(line),)
+            training.run(self.config, self.seeds, folder, resume, listeners, phase=line.phase, left=place.left)
+            if line.is_live and line.numbers:
+                line.print(f"{self.name}: {line.numbers}")  # It stays above the line, which goes on with the next.
         except Stopped:
             if place.left() > 0:
                 raise  # By a signal to this process, and not by the clock before its first epoch.
+        finally:
+            line.finish()
 
     def fail(self, place: Place, error: Exception) -> None:
         """Let the user know: what ends one part would end the others."""
@@ -200,13 +191,14 @@ def run_parts(
     folder: Path,
     resume: bool = False,
     execute: Callable[..., Outcome] = run_here,
-    say: Callable[[str], None] = print,
+    say: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Train what is left of a plan by an executor, (jobs, place) -> outcome, and make one run of the parts of each
     setting that is finished.
 
-    resume: go on in the folder, whose plan this is. Raises `UserError`, without a change on the disk, for a folder that
-    holds something else, and for what cannot be run.
+    resume: go on in the folder, whose plan this is; say: prints a line; None: programs that are trained in this process
+    share one line of progress on a terminal or in a notebook. Raises `UserError`, without a change on the disk, for a
+    folder that holds something else, and for what cannot be run.
     """
     if not resume:
         start(config, plan, folder)
@@ -214,7 +206,8 @@ def run_parts(
     jobs = jobs_of(config, plan)
     if resume and ((folder / NAME).exists() or not all(job.is_done(folder) for job in jobs)):
         check_same_plan(folder, config, plan)
-    outcome = execute(jobs, Place(folder, say=say))
+    with showing(jobs, folder, say) as place:
+        outcome = execute(jobs, place)
     if all(job.is_done(folder) for job in jobs):
         with contextlib.suppress(BeingWrittenError), locked(folder / "join.lock", folder):
             for name in plan.names:
@@ -222,6 +215,28 @@ def run_parts(
             if plan.settings == [{}]:
                 (folder / NAME).unlink(missing_ok=True)  # It is a run as any other now.
     return outcome
+
+
+@contextlib.contextmanager
+def showing(jobs: Sequence[RunJob], folder: Path, say: Callable[[str], None] | None) -> Iterator[Place]:
+    """Where jobs of this process work, and what shows how far all of them are until the end of the block: without
+    `say`, one line on a terminal or in a notebook, from the first program on that is trained here."""
+    line = ProgressLine("", sum(job.config.num_epochs for job in jobs), Console())
+    place = Place(folder, say=say or line.print)
+    with contextlib.ExitStack() as shown:
+        begun = False
+
+        def show(job: RunJob) -> ProgressLine:
+            nonlocal begun
+            line.begin(job.name, sum(other.config.num_epochs for other in jobs if other.is_done(folder)))
+            if not begun:
+                begun = True
+                shown.enter_context(moving(line))
+            return line
+
+        if say is None and line.is_live:
+            place.show = show
+        yield place
 
 
 def start(config: TrainConfig, plan: Plan, folder: Path) -> None:

@@ -5,9 +5,10 @@ shown where there is room. Before the first epoch it says in which phase the run
 """
 
 import contextlib
+import textwrap
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -34,35 +35,58 @@ def short_time(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s" if seconds < 99.5 else clock(seconds)
 
 
+def say(console: Console, text: str, label: str = "", style: str | None = None) -> None:
+    """Print a text, and what it is about before it. On a terminal lines are broken between words, below the text's
+    beginning; a word that is longer than a line, such as a path, stays whole. In a file each stays one line."""
+    line = f"{label:<11} {text}" if label else text
+    if console.is_terminal:
+        indent = " " * 12 if label else ""
+        line = "\n".join(
+            textwrap.fill(part, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            for part in line.splitlines()
+        )
+    console.print(line, style=style, soft_wrap=True, highlight=False, markup=False)
+
+
 class ProgressLine:
-    """What is shown of a run. words: what is run; total: its epochs; console: where.
+    """What is shown of a run, or of several programs that are trained one after another.
+
+    words: what is run; total: epochs, of all programs; console: where; say: prints a line, where several programs share
+    a log: each line then begins with the words.
 
     Phases follow each other: loading, tracing, compiling, training. `times` has the seconds of those that are over.
     """
 
-    def __init__(self, words: str, total: int, console: Console):
-        self.words, self.total, self.console = words, total, console
-        self.started = self.since = time.monotonic()
-        self.times: dict[str, float] = {}
-        self.name = "loading"  # Modules at first.
-        self.epoch = self.first = 0
-        self.numbers, self.rates = "", ""
+    def __init__(self, words: str, total: int, console: Console | None, say: Callable[[str], None] | None = None):
+        self.words, self.total, self.console, self.say = words, total, console, say
+        self.started = time.monotonic()
         self.left: float | None = None
         self.told = 0.0  # When the last numbers came.
         self.over = threading.Event()
+        self.begin(words)
+
+    def begin(self, words: str, before: int = 0) -> None:
+        """A program begins. before: epochs of other programs that are done."""
+        self.words, self.before = words, before
+        self.since = time.monotonic()
+        self.times: dict[str, float] = {}
+        self.name = "loading"  # Modules at first.
+        self.epoch = self.first = before
+        self.numbers, self.rates = "", ""
+        self.over.clear()
 
     @property
     def is_live(self) -> bool:
         """Whether one line is drawn again and again; False: lines of a log."""
-        return self.console.is_terminal or self.console.is_jupyter
+        return self.console is not None and (self.console.is_terminal or self.console.is_jupyter)
 
     def phase(self, name: str, epoch: int = 0) -> None:
-        """Begin a phase, which ends the one before. epoch: how many are done."""
+        """Begin a phase, which ends the one before. epoch: how many of the program's are done."""
         now = time.monotonic()
         if self.name:
             self.times[self.name] = self.times.get(self.name, 0.0) + now - self.since
         self.name, self.since = name, now
-        self.epoch = self.first = epoch
+        self.epoch = self.first = self.before + epoch
         if name == "training":
             self.over.set()
             if self.times:
@@ -73,7 +97,7 @@ class ProgressLine:
 
     def compiling(self) -> None:
         """The program is compiled now."""
-        self.phase("compiling", self.epoch)
+        self.phase("compiling", self.epoch - self.before)
 
     def repeat(self) -> None:
         """Say that the program is still being compiled until it is not."""
@@ -82,18 +106,18 @@ class ProgressLine:
                 self.print(f"{self.words}: still compiling, {self.elapsed()}")
 
     def advance(self, epoch: int, numbers: str, rates: str = "") -> None:
-        """Show that so many epochs are done and what came of them, numbers that matter and rates that are shown where
-        there is room."""
+        """Show that so many epochs of the program are done and what came of them, numbers that matter and rates that
+        are shown where there is room."""
         if self.name != "training":
-            self.phase("training", self.epoch)
+            self.phase("training", self.epoch - self.before)
         self.told = time.monotonic()
-        self.epoch, self.numbers, self.rates = epoch, numbers, rates
-        done = epoch - self.first
-        self.left = (self.total - epoch) * (self.told - self.since) / done if done > 0 else None
+        self.epoch, self.numbers, self.rates = self.before + epoch, numbers, rates
+        done = self.epoch - self.first
+        self.left = (self.total - self.epoch) * (self.told - self.since) / done if done > 0 else None
         if not self.is_live:
             left = f"{clock(self.left)} left  " if self.left else ""
             shown = f"{numbers}  {rates}".rstrip()
-            self.print(f"epoch {epoch}/{self.total}  {self.elapsed()}  {left}{shown}")
+            self.print(f"epoch {self.epoch}/{self.total}  {self.elapsed()}  {left}{shown}")
 
     def finish(self) -> None:
         """End the last phase."""
@@ -112,22 +136,24 @@ class ProgressLine:
 
     def print(self, words: str) -> None:
         """Write a line, above the one that moves."""
-        if self.console.is_jupyter:
+        if self.say is not None:
+            self.say(words if words.startswith(self.words) else f"{self.words}: {words}")
+        elif self.console.is_jupyter:
             print(words)
         else:
-            self.console.print(words, soft_wrap=True, highlight=False, markup=False)
+            say(self.console, words)
 
     def of_width(self, width: int) -> str:
         """The line in so many letters. Count, time left and numbers come first, then the bar, then the rest."""
-        count = f"{self.epoch}/{self.total}"
+        now = time.monotonic()
+        needed = [f"{self.epoch}/{self.total}"]
+        if self.left is not None and self.epoch < self.total:
+            needed.append(f"{clock(self.left - (now - self.told))} left")
         if self.name in ("training", ""):
-            now = time.monotonic()
-            left = [] if self.left is None else [f"{clock(self.left - (now - self.told))} left"]
-            needed = [count, *(left if self.epoch < self.total else []), self.numbers or self.name]
-            needed = [words for words in needed if words]
+            needed += filter(None, [self.numbers or self.name])
             rest = [self.elapsed(), *filter(None, [self.rates])]
         else:
-            needed = [count, f"{self.name} {clock(time.monotonic() - self.since)}"]
+            needed.append(f"{self.name} {clock(now - self.since)}")
             rest = [COMPILING] * (self.name == "compiling") + [self.phases_in_words()] * bool(self.times)
         room = width - len("  ".join(needed))
         for words in rest:
@@ -148,14 +174,18 @@ class ProgressLine:
 @contextmanager
 def progress_line(words: str, total: int) -> Iterator[ProgressLine]:
     """What shows how far a run is, until the end of the block."""
-    console = Console()
-    line = ProgressLine(words, total, console)
+    line = ProgressLine(words, total, Console())
     with contextlib.ExitStack() as showing:
         showing.callback(line.finish)
         if line.is_live:
             line.print(words)
-            showing.enter_context(notebook_line(line) if console.is_jupyter else on_terminal(line))
+            showing.enter_context(moving(line))
         yield line
+
+
+def moving(line: ProgressLine) -> contextlib.AbstractContextManager[None]:
+    """Draw a live line again and again, until the end of the block."""
+    return notebook_line(line) if line.console.is_jupyter else on_terminal(line)
 
 
 @contextmanager

@@ -133,6 +133,11 @@ def test_a_method_is_described_by_whole_sentences(name):
     assert methods.description(name).endswith(".") and len(methods.description(name)) < 250
 
 
+def test_each_method_has_a_description_of_its_own():
+    """LEO was described as its relabelling is."""
+    assert len({methods.description(name) for name in presets.METHODS}) == len(presets.METHODS)
+
+
 def test_agents_of_each_task():
     moves, drives, vectors = {"dqn", "cql"}, {"hrac"}, {"td3", "sac", "crl"}
     expected = dict.fromkeys(presets.FETCH_TASKS, drives | vectors) | {

@@ -2,6 +2,7 @@
 cannot be run."""
 
 import collections
+import io
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 import hand_made
 import killed_run
 import pytest
+from rich.console import Console
 from two_machines import cluster_of_two
 
 import infogoal_jax
@@ -21,7 +23,7 @@ from infogoal_jax import presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.runs import table_of
-from infogoal_jax.runner import executors, parts, training
+from infogoal_jax.runner import executors, parts, progress, training
 from infogoal_jax.runner.executors import Place, run_on_ray
 from infogoal_jax.runner.parts import PARTS, Plan, jobs_of, read_plan, run_parts, settings_of
 from infogoal_jax.runs import checkpoint, configuration, tables
@@ -124,11 +126,51 @@ def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
 def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
     result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4], learner_weight=[0.5])
     printed = capsys.readouterr().out
-    assert printed.count(": compiling, ") == 2 and re.search(r": epoch 2/4  train 0\.\d\d  test .* left\n", printed)
+    assert printed.count(": compiling, ") == 2 and printed.count("left  train 0.") == 2
+    assert re.search(r"=0.0003,learner_weight=0.5: epoch 2/4  0:00  0:00 left  train 0\.\d\d  test ", printed)
     assert "learning_rate=0.0001" in repr(result) and str(tmp_path / "sweep") in repr(result)
     rows = result.rows()
     assert [(row["learning_rate"], row["seed"]) for row in rows] == [(1e-4, 0), (1e-4, 1), (3e-4, 0), (3e-4, 1)]
     assert all(row["epoch"] == 4 and 0 <= row["train_goal/success_rate"] <= 1 for row in rows)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
+    """Bar, count, time left and success, as of a single run, over all that is to be trained."""
+    terminal, drawn = Console(file=io.StringIO(), force_terminal=True, width=width), []
+    monkeypatch.setattr(parts, "Console", lambda: terminal)
+    advance = progress.ProgressLine.advance
+
+    def look(line, *numbers):
+        advance(line, *numbers)
+        drawn.append(line.of_width(width))
+
+    monkeypatch.setattr(progress.ProgressLine, "advance", look)
+    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4]}), [0, 1], 0)
+    run_parts(CONFIG, plan, tmp_path / "sweep")
+    assert [line.split()[1] for line in drawn] == ["2/8", "4/8", "6/8", "8/8"] and "left" not in drawn[3]
+    for line in drawn:
+        assert "━" * 2 in line and "train 0." in line and "test 0." in line and len(line) <= width
+    assert all(" 0:00 left " in line for line in drawn[:3])
+    printed = terminal.file.getvalue()
+    for number, rate in ((1, "0.0001"), (2, "0.0003")):
+        first = f"object_search learning_rate={rate}: "
+        assert f"{first}1 run, program {number} of 2" in printed and f"{first}train 0." in printed
+    assert printed.count("loading 0.") >= 2 and "epoch 2/4" not in printed and "━" in printed
+
+
+def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
+    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4, 1e-3]}), [0], 0)
+    parts.start(CONFIG, plan, tmp_path / "sweep")
+    first = jobs_of(CONFIG, plan)[0]
+    training.run(first.config, first.seeds, first.folder(tmp_path / "sweep"))
+    begun = []
+    monkeypatch.setattr(parts, "Console", lambda: Console(file=io.StringIO(), force_terminal=True))
+    monkeypatch.setattr(
+        progress.ProgressLine, "phase", lambda line, name, epoch=0: begun.append((name, line.before + epoch))
+    )
+    run_parts(CONFIG, plan, tmp_path / "sweep", resume=True)
+    assert [epoch for name, epoch in begun if name == "compiling"] == [4, 8]
 
 
 @pytest.mark.parametrize(
