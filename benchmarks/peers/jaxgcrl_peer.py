@@ -98,7 +98,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
         task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
     )
     name = f"jaxgcrl_{task}"
-    presets.register(name, task_env)
+    presets.register(name, task_env, presets.JAXGCRL)
     collected = sizes.our_envs * sizes.our_steps
     per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
     config = presets.load(
@@ -114,9 +114,8 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
         buffer_steps=max(sizes.replay * sizes.num_envs, collected),
         evaluation_starts=2,
     )
-    hyper = config.hyper.replace(learning_rate=3e-4, discount=0.99, target_rate=0.005)
-    hyper = hyper.replace(epsilon=0.1) if agent == "td3" else hyper.replace(epsilon=0.0)
-    config = dataclasses.replace(config, hyper=hyper)
+    if agent == "td3":
+        config = dataclasses.replace(config, hyper=config.hyper.replace(epsilon=0.1))
     train = make_train(config, task_env)
     keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
 
