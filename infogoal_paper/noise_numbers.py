@@ -19,6 +19,7 @@ epsilon of `EPSILONS` at which it reaches the most validation goals, the smalles
 """
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -351,21 +352,24 @@ class Numbers:
             if row.get(kind) and not is_development(task, place[0])
         }
 
-    def shared_sets(self, task: str) -> set[int]:
-        """The data sets on which every method of the task was run."""
-        ran = [{data_set for data_set, _ in rows} for (own, *_), rows in self.values.items() if own == task]
-        return set.intersection(*ran)
+    @functools.cached_property
+    def shared_sets(self) -> dict[str, set[int]]:
+        """The data sets of each task on which every method of it was run."""
+        ran: dict[str, list[set[int]]] = {}
+        for (task, *_), rows in self.values.items():
+            ran.setdefault(task, []).append({data_set for data_set, _ in rows})
+        return {task: set.intersection(*sets) for task, sets in ran.items()}
 
     def on_shared_sets(
         self, task: str, method: str, epsilon: float, code: str = "sampled", kind: str = "test"
     ) -> list[float]:
         """`success` on `shared_sets`, so that means can be compared."""
-        shared, found = self.shared_sets(task), self.success(task, method, epsilon, code, kind)
+        shared, found = self.shared_sets[task], self.success(task, method, epsilon, code, kind)
         return [value for (data_set, _), value in found.items() if data_set in shared]
 
     def best(self, task: str, method: str) -> float:
         """The epsilon at which the method reaches the most validation goals of `shared_sets`, sampled codes."""
-        shared = self.shared_sets(task)
+        shared = self.shared_sets[task]
 
         def reached(epsilon: float) -> float:
             rows = self.values[task, method, epsilon, "sampled"].items()

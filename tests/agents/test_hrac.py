@@ -243,6 +243,7 @@ def test_the_critic_trains_the_encoders_and_the_actor_trains_nothing_but_itself(
     assert_close(other_critic["agent"]["adjacency"], found["agent"]["adjacency"])
 
 
+@pytest.mark.long
 def test_the_goal_encoder_can_be_left_to_its_own_loss(train, params, gradients):
     hyper = train.config.hyper
     let_through, _ = gradients(params, params, hyper)

@@ -133,7 +133,9 @@ def agent_of(name: str, action_size: int = vector_agents.A, **changes):
     return entry.make(entry.config(**({"hidden": (16, 16)} | changes)), vector_agents.env(action_size)), entry
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.long if case == "gciql_ddpg_bc" else []) for case in CASES]
+)
 def test_an_update_is_that_of_ogbench(case):
     """Loss, each part of it, and the gradient for every parameter, on random parameters."""
     name, changes, floats = CASES[case]

@@ -148,7 +148,13 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments[:80] for arguments, _ in MISTAKES])
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        pytest.param(words, expected, id=words[:80], marks=pytest.mark.long if "num-pairs" in words else [])
+        for words, expected in MISTAKES
+    ],
+)
 def test_a_mistake_is_named_with_its_value_and_the_remedy(
     arguments, expected, tiny_house, tmp_path, capsys, no_compilation
 ):

@@ -26,7 +26,7 @@ import yaml
 from places import ROOT
 
 import infogoal_jax
-from infogoal_jax import learners, presets
+from infogoal_jax import exploration, learners, presets, relabelling
 from infogoal_jax.cli.choice import ENV
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK, commands, main
@@ -90,9 +90,9 @@ def commands_in(group: Group, path: str = "") -> Iterator[str]:
 @functools.cache
 def flags_of_all_parts() -> set[str]:
     """The flags of `infogoal train`, of every task and part."""
-    chosen = [f"{task} --relabelling her" for task in presets.TASKS] + ["object_manipulation --agent dqn"]
-    chosen += [f"object_search --learner {learner}" for learner in learners.registry]
-    chosen += [f"object_search --method {method}" for method in presets.METHODS]
+    chosen = [*presets.TASKS, "object_manipulation --agent dqn"]
+    for kind, registry in (("learner", learners), ("relabelling", relabelling), ("explorer", exploration)):
+        chosen += [f"object_search --{kind} {name}" for name in registry.registry if name not in ("mixed", "none")]
     return set().union(*(flags_of(f"train {words}") for words in chosen))
 
 

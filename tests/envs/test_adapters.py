@@ -78,11 +78,15 @@ def test_it_keeps_the_contract():
     assert not line_task().discrete and line_task().goals.shape == (1,) and line_task().can_fail
 
 
-def test_every_episode_has_a_goal_and_a_start_of_its_own_where_their_wrapper_caches_both():
+def test_every_episode_has_a_goal_and_a_start_of_its_own():
     rows = walk(line_task(), stay, 4 * (EPISODE + 1))
     first = np.asarray(jnp.arange(rows.valid.shape[1]) % (EPISODE + 1) == 0)
     goals, places = np.asarray(rows.goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
     assert np.unique(goals).size == goals.size == np.unique(places).size == 16
+
+
+@pytest.mark.long
+def test_their_wrapper_has_one_goal_and_one_start_for_all_episodes():
     wrapped = wrappers.wrap(Line(), episode_length=EPISODE)
     states = [jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 4))]
     for _ in range(4 * EPISODE):

@@ -126,7 +126,7 @@ def test_how_many_axes_an_observation_has_is_asked_of_a_task_once():
             resets.append(1)
             return super().begin(key)
 
-    config = presets.load("point_maze", num_epochs=1, epochs_per_evaluation=1)
+    config = presets.load("point_maze", "none", num_epochs=1, epochs_per_evaluation=1)
     env = Counting(goals=GOALS, episode_length=5, radius=0.1)
     train = make_train(config, env)
     resets.clear()

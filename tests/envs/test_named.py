@@ -85,6 +85,7 @@ def test_lists_of_tasks_have_it_only_once_it_is_asked_for(family):
     assert configuration.from_dict(values) == config  # A run of it is read in a process that never heard of it.
 
 
+@pytest.mark.long
 def test_what_brax_has_is_what_is_told():
     """The goal is where the tip has to be, and the agent sees none of it."""
     config = presets.load("brax", "none").env

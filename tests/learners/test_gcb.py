@@ -247,6 +247,7 @@ def test_a_grounded_run_takes_the_features_of_goals_from_the_agent():
         make_train(privileged)
 
 
+@pytest.mark.long
 def test_without_a_decoder_nothing_of_it_is_left():
     _, params, loss = learner_and_params(reward_hidden=0)
     _, metrics = loss(params, FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, jax.random.key(3))

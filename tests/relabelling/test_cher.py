@@ -168,7 +168,8 @@ def choice(config, scale: float = 1.0, updates: int = 0):
     )
 
 
-@pytest.mark.parametrize("similarity", ["nearest", pytest.param("dense", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("similarity", ["nearest", "dense"])
 def test_half_is_chosen_diverse_at_first_and_near_in_the_end(similarity):
     """Half of the candidates, each once. After many updates they lie much nearer to what was achieved than by cover
     alone, and cover less."""

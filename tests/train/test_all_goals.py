@@ -191,20 +191,22 @@ def test_an_environment_with_goals_by_number_can_be_given_again():
 
 @pytest.mark.parametrize("norm", [pytest.param(False, marks=pytest.mark.long), True])
 @pytest.mark.parametrize("kind", ["product", pytest.param("concatenated", marks=pytest.mark.long)])
-def test_settings_of_the_head_reach_its_network(kind, norm):
+@pytest.mark.parametrize("field", ["head", pytest.param("critic", marks=pytest.mark.long)])
+def test_settings_of_the_head_reach_its_network(field, kind, norm):
     """Of DQN and of HRAC: normalised layers have parameters, and bounded values begin in the middle, which HRAC has for
     products alone."""
-    for config, env, field in (
-        (hand_made.config("none"), hand_made.environment(), "head"),
-        (hand_made_points.config("none"), hand_made_points.steered(), "critic"),
-    ):
-        agent = dataclasses.replace(config.agent, **{field: kind}, bounded=True, layer_norm=norm)
-        parts = make_train(dataclasses.replace(config, agent=agent), env).parts
-        features, code = jnp.ones((1, config.state_encoder.features)), jnp.ones((1, config.learner.latent_size))
-        params, _ = jax.jit(parts.agent.init)(jax.random.key(0), features[0], code[0])
-        assert ("LayerNorm_0" in str(jax.tree.structure(params))) == norm
-        value = jax.jit(parts.agent.value)(params, features, code, jnp.ones((1, 6), bool))
-        assert (field, kind) == ("critic", "concatenated") or 0.1 < value.min() <= value.max() < 0.9
+    config, env = {
+        "head": (hand_made.config, hand_made.environment),
+        "critic": (hand_made_points.config, hand_made_points.steered),
+    }[field]
+    config = config("none")
+    agent = dataclasses.replace(config.agent, **{field: kind}, bounded=True, layer_norm=norm)
+    parts = make_train(dataclasses.replace(config, agent=agent), env()).parts
+    features, code = jnp.ones((1, config.state_encoder.features)), jnp.ones((1, config.learner.latent_size))
+    params, _ = jax.jit(parts.agent.init)(jax.random.key(0), features[0], code[0])
+    assert ("LayerNorm_0" in str(jax.tree.structure(params))) == norm
+    value = jax.jit(parts.agent.value)(params, features, code, jnp.ones((1, 6), bool))
+    assert (field, kind) == ("critic", "concatenated") or 0.1 < value.min() <= value.max() < 0.9
 
 
 def test_names_say_what_is_learned_from():

@@ -155,10 +155,8 @@ def test_trains_without_a_number_that_is_not_finite(task, method):
     assert not np.array_equal(*result.epochs["agent/loss"])
 
 
-@pytest.mark.parametrize(
-    "task",
-    ["fetch_reach", *(pytest.param(task, marks=pytest.mark.long) for task in FETCH_TASKS if task != "fetch_reach")],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("task", FETCH_TASKS)
 def test_the_physics_is_the_same_whatever_jax_is_set_to(task):
     """Traced: the state after a step has the types of the one before it, with 64 bits and where nothing is
     promoted."""

@@ -134,7 +134,7 @@ def test_an_environment_that_breaks_the_contract_is_refused(case):
 
 
 def test_an_environment_that_keeps_it_is_trained():
-    trace(make_train(CONFIG, changed()))
+    trace(make_train(BARE, changed()))
 
 
 class InALine(GoalTask):

@@ -79,17 +79,27 @@ def test_reaching_the_goal_ends_the_episode_and_time_truncates_it(reach):
     ]
 
 
-def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
-    """One robot's state is spoilt: its step is taken back and its episode ends, marked; the others go on untouched, and
-    its transition is not valid."""
-    env, reset, step = reach
-    states = reset(keys(5))
-    spoilt = states.replace(motion=states.motion.replace(velocity=states.motion.velocity.at[3].set(jnp.nan)))
+@pytest.fixture
+def spoilt(reach):
+    """States at a start, and the same with one robot's state spoilt."""
+    states = reach[1](keys(5))
+    return states, states.replace(motion=states.motion.replace(velocity=states.motion.velocity.at[3].set(jnp.nan)))
+
+
+def test_a_diverged_simulation_ends_its_own_episode(reach, spoilt):
+    """Its step is taken back and its episode ends, marked; the others go on untouched."""
+    (_, _, step), (states, spoilt) = reach, spoilt
     after, untouched = step(spoilt, jnp.ones((BATCH, 4))), step(states, jnp.ones((BATCH, 4)))
     assert np.flatnonzero(after.diverged).tolist() == [3] == np.flatnonzero(after.truncated).tolist()
     assert np.isfinite(after.observation).all()
     others = np.delete(np.arange(BATCH), 3)
     np.testing.assert_array_equal(after.observation[others], untouched.observation[others])
+
+
+@pytest.mark.long
+def test_a_diverged_simulation_leaves_no_trace(reach, spoilt):
+    """Its transition is not valid."""
+    (env, _, _), (_, spoilt), others = reach, spoilt, np.delete(np.arange(BATCH), 3)
 
     def policy(observation, goal, key):
         return jnp.ones((BATCH, 4))

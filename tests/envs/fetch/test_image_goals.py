@@ -31,7 +31,12 @@ from infogoal_jax.train.parts import Setup, training_view
 GRIDS = {}
 
 
-@pytest.fixture(params=presets.FETCH_TASKS)
+@pytest.fixture(
+    params=[
+        pytest.param(task, marks=[] if task in ("fetch_reach", "fetch_push") else pytest.mark.long)
+        for task in presets.FETCH_TASKS
+    ]
+)
 def grid(request):
     """The shipped goals of each task over a robot that is only a point, and the positions [N, 3] of the grid among
     them."""
@@ -247,6 +252,7 @@ def test_an_environment_that_is_given_gets_the_low_level_that_the_configuration_
     assert train.env.action_mask(jnp.zeros((4, 10))).shape == (4, 3)
 
 
+@pytest.mark.long
 def test_standardised_images_are_coded_alike_whatever_their_brightness_and_contrast():
     image = jax.random.randint(jax.random.key(0), (1, 64, 64, 3), 60, 200).astype(jnp.uint8)
     duller = jnp.round(0.5 * image.astype(jnp.float32) + 40).astype(jnp.uint8)

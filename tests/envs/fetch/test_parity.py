@@ -66,8 +66,14 @@ OBJECT, RELATIVE, FINGERS, ROTATION, VELOCITIES, OBJECT_VELOCITY, FINGER_VELOCIT
 )
 """Parts of an observation of 25; of 10, the fingers are 3 to 4, and the velocities 5 to 9, the fingers' last."""
 
-every_task = pytest.mark.parametrize("task", list(TASKS))
-every_object = pytest.mark.parametrize("task", TASKS_WITH_OBJECT)
+QUICK_RESETS = ("fetch_reach", "fetch_pick_and_place")
+"""Without an object, and with all that the others' resets have."""
+every_task, every_object = (
+    pytest.mark.parametrize(
+        "task", [pytest.param(task, marks=[] if task in QUICK_RESETS else pytest.mark.long) for task in tasks]
+    )
+    for tasks in (list(TASKS), TASKS_WITH_OBJECT)
+)
 
 
 def cases(*tasks: str):
