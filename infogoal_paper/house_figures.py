@@ -9,11 +9,11 @@ import dataclasses
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Wedge
+from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -188,14 +188,14 @@ def draw_walk(axes: Axes, env, plan: Plan, walk: Walk, longest: int | None = Non
     draw_arrows(axes, plan, nodes[-1:], 0.95, color=SUCCESS if walk.success else FAILURE, width=0.011, zorder=8)
 
 
-def view_slices(plan: Plan, images: np.ndarray) -> list[Wedge]:
-    """A slice in the direction of view for each of these images, whose positions are known: those of one place make a
-    pie."""
-    views = np.bincount(plan.place[plan.known])[plan.place[images]]
-    return [
-        Wedge(plan.position[image, :2], 0.46 * plan.spacing, angle - 180 / count, angle + 180 / count)
-        for image, angle, count in zip(images, np.degrees(plan.position[images, 2]), views, strict=True)
-    ]
+def view_slices(plan: Plan, images: np.ndarray) -> np.ndarray:
+    """The corners [images, corners, (x, y)] of a slice in the direction of view for each of these images, whose
+    positions are known: those of one place make a pie."""
+    position, heading = plan.position[images, None, :2], plan.position[images, 2:]
+    views = np.bincount(plan.place[plan.known])[plan.place[images], None]
+    angles = heading + np.linspace(-np.pi, np.pi, 25) / views
+    rim = position + 0.46 * plan.spacing * np.stack([np.cos(angles), np.sin(angles)], -1)
+    return np.concatenate([position, rim], 1)
 
 
 def draw_plans(subject: Subject) -> dict[str, Figure | None]:
@@ -228,7 +228,7 @@ def trajectories(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> 
         draw_plan(axes, env, plan, part)
         seeing = np.asarray(env.in_view)[:, walk.goal] & plan.known & (plan.part == part)
         axes.add_collection(
-            PatchCollection(view_slices(plan, np.flatnonzero(seeing)), color=SIGHT, linewidths=0, zorder=2)
+            PolyCollection(view_slices(plan, np.flatnonzero(seeing)), color=SIGHT, linewidths=0, zorder=2)
         )
         draw_walk(axes, env, plan, walk, longest)
         for spine in axes.spines.values():
@@ -266,7 +266,7 @@ def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]])
         part = plan.part[walk.nodes[0]]
         draw_plan(axes, env, plan, part)
         images = np.flatnonzero(plan.known & (plan.part == part))
-        pies = PatchCollection(view_slices(plan, images), cmap=colours, norm=norm, linewidths=0, zorder=1)
+        pies = PolyCollection(view_slices(plan, images), cmap=colours, norm=norm, linewidths=0, zorder=1)
         pies.set_array(np.ma.masked_invalid(reward[images]))
         axes.add_collection(pies)
         draw_walk(axes, env, plan, walk)

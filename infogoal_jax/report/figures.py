@@ -35,7 +35,7 @@ from infogoal_jax.report.codes import representations
 from infogoal_jax.report.goal_space_figures import codes_over_goals, success_over_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, evaluated_masks, load_run, read_params, table_of
 from infogoal_jax.report.task_figures import draw_of_task
-from infogoal_jax.runner.compilation import jit
+from infogoal_jax.runner.compilation import compiling_quickly, jit
 from infogoal_jax.runs.folder import check_own, remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
 
@@ -55,7 +55,7 @@ def draw_figures(
     known = isinstance(format, str) and format in FORMATS
     require(known, "format", format, f"give one of {', '.join(FORMATS)}")
     captions = checks.flag(captions, "captions")
-    with figure_style(style):
+    with figure_style(style), compiling_quickly():
         subject = read_subject(folder, env)
         return draw_all(subject, subject.run.folder, format, captions)
 
