@@ -114,6 +114,15 @@ def type_of(group: Group) -> Any:
     return Union[(*arms,)]
 
 
+def tell(text: str) -> None:
+    """Print what a command came to: on a terminal, broken between words."""
+    from rich.console import Console
+
+    from infogoal_jax.runner.progress import say
+
+    say(Console(), text)
+
+
 def new_folder(*words: str) -> Path:
     """A folder under runs/ that says what it holds, and since when. The last word tells it from that of another process
     that began in the same second, as the jobs of an array do."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder
+from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder, tell
 from infogoal_jax.errors import UserError, counted, typed
 
 
@@ -28,7 +28,7 @@ def house(path: Positional[str], seed: int = 0) -> int:
     folder = empty_folder(path, "path")
     with new_folder(folder, "path") as beside:
         build_house(beside, seed=seed)
-    print(f"{folder}: built from seed {seed}")
+    tell(f"{folder}: built from seed {seed}")
     return 0
 
 
@@ -92,7 +92,7 @@ def new_file(path: str, flag: str = "path") -> None:
 def print_size(path: str, dataset) -> None:
     """What a file of an image dataset holds, in one line, and what it takes."""
     *_, height, width, channels = dataset.frames.shape
-    print(
+    tell(
         f"{path}: {dataset.about['name']}; {counted(len(dataset.frames), 'frame')} of {height} x {width} x {channels}, "
         f"{counted(dataset.num_states, 'state')}, "
         f"{counted(len(dataset.frame), 'move')} of {counted(len(dataset.actions), 'action')}; "
@@ -137,11 +137,11 @@ def check(path: Positional[str]) -> int:
 
     findings = find(path)
     for finding in findings:
-        print(f"{finding.severity:8s} {finding.where}: {finding.problem}")
+        tell(f"{finding.severity:8s} {finding.where}: {finding.problem}")
     errors = sum(finding.severity == "error" for finding in findings)
-    print(f"{path}: {counted(errors, 'error')}, {counted(len(findings) - errors, 'warning')}")
+    tell(f"{path}: {counted(errors, 'error')}, {counted(len(findings) - errors, 'warning')}")
     if of_episodes and not errors:
-        print(f"{path}: {episodes.describe(episodes.load(path))}")
+        tell(f"{path}: {episodes.describe(episodes.load(path))}")
     elif is_file and not errors:
         from infogoal_jax.data import frames
 
@@ -175,7 +175,7 @@ def import_images(
         dataset = import_folder(images, table, out, size, wrap, name, bar)
     print_size(out, dataset)
     if dataset.detected is None:
-        print("No row names an object: embodied question answering needs a column `objects` that does.")
+        tell("No row names an object: embodied question answering needs a column `objects` that does.")
     print(f"Next: infogoal data check {shlex.quote(out)}")
     return 0
 
@@ -200,7 +200,7 @@ def import_minari(name: Positional[str], out: str) -> int:
         raise UserError(f"name = {name!r}: {remedy}") from error
     episodes = minari.episodes_of(dataset)
     save(out, episodes)
-    print(f"{out}: {describe(episodes)}")
+    tell(f"{out}: {describe(episodes)}")
     return 0
 
 
@@ -216,7 +216,7 @@ def export_minari(path: Positional[str], out: str) -> int:
 
     episodes = load(path)
     folder = minari.to_minari(episodes, out)
-    print(f"{folder}: {describe(episodes)}; read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}")
+    tell(f"{folder}: {describe(episodes)}; read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}")
     return 0
 
 
@@ -229,7 +229,7 @@ def cifar10(path: Positional[str] = "", url: str = "") -> int:
     """
     from infogoal_jax.data.backgrounds import CIFAR10_URL, download_cifar10
 
-    print(f"{download_cifar10(path, url or CIFAR10_URL)}: CIFAR-10, complete")
+    tell(f"{download_cifar10(path, url or CIFAR10_URL)}: CIFAR-10, complete")
     return 0
 
 
@@ -252,7 +252,7 @@ def embed(texts: Positional[tuple[str, ...]], out: str, weights: str = "") -> in
     alone = locked(path.parent / f".{path.name}.lock", path) if path.parent.is_dir() else contextlib.nullcontext()
     with alone:
         embeddings = embed_file(texts, out, weights or None)
-    print(f"{out}: {counted(len(embeddings.texts), 'text')}")
+    tell(f"{out}: {counted(len(embeddings.texts), 'text')}")
     return 0
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from infogoal_jax.cli.commands import tell
 from infogoal_jax.errors import UserError, counted, require
 
 
@@ -30,7 +31,7 @@ def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: s
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
     actions = actions_in_words(about)
-    print(f"{out}: {about['task']}, {about['method']}, seed {about['seed']}; {actions}; {size:.1f} MB")
+    tell(f"{out}: {about['task']}, {about['method']}, seed {about['seed']}; {actions}; {size:.1f} MB")
     return 0
 
 

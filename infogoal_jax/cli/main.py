@@ -1,5 +1,7 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
+import functools
+import inspect
 import itertools
 import os
 import re
@@ -13,7 +15,7 @@ import tyro
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
 from infogoal_jax.cli.choice import with_environment
-from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
+from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
 from infogoal_jax.cli.mistakes import parsed
@@ -61,16 +63,40 @@ def commands(first: str = "") -> Group:
     return Group(HELP, COMMANDS.commands | added)
 
 
-def overview(known: dict[str, Command | Group], width: int) -> str:
-    """The help of `infogoal` itself: what each of these commands does, by groups, in lines of this many letters."""
-    lines = ["usage: infogoal COMMAND ...", "", *textwrap.wrap(" ".join(HELP.split()), width)]
+def help_width() -> int:
+    """Letters of a line of help."""
+    return min(shutil.get_terminal_size().columns, 100)
+
+
+def wrapped(text: str, indent: str = "") -> str:
+    """The paragraphs of a text above the lists of a docstring, in lines of the terminal's width. indent: of all but the
+    first line; tyro joins lines that have none."""
+    paragraphs = re.split(r"^\s*(?:Args|Returns):", text, maxsplit=1, flags=re.MULTILINE)[0].strip().split("\n\n")
+    fill = functools.partial(textwrap.fill, width=help_width(), subsequent_indent=indent)
+    return "\n\n".join(fill(" ".join(words.split())) for words in paragraphs)
+
+
+def overview(group: Group, words: list[str]) -> str:
+    """The help of a group: what each of its commands does, and of `infogoal` itself by groups. words: that lead to
+    it."""
+    known, by_task = group.commands, words[-1] in BY_TASK
+    lines = [f"usage: {' '.join(words)} {'TASK' if by_task else 'COMMAND'} ...", "", wrapped(group.help)]
     column = max(map(len, known)) + 4
-    for title, names in (GROUPS | {ADDED: known.keys() - COMMANDS.commands.keys()}).items():
+    column = min(column, 24) if by_task else column
+    titles = {"tasks" if by_task else "commands": known}
+    if known.keys() >= COMMANDS.commands.keys():
+        titles = GROUPS | {ADDED: known.keys() - COMMANDS.commands.keys()}
+    for title, names in titles.items():
         lines += ["", f"{title}:"] if names else []
         for name in sorted(names, key=list(known).index):
             said = (help_of(known[name]) or known[name].__doc__ or "").split("\n\n")[0]
-            first, *rest = textwrap.wrap(" ".join(said.split()), max(width - column, 20))
-            lines += [f"  {name:<{column - 2}}{first}", *(" " * column + line for line in rest)]
+            first, *rest = textwrap.wrap(" ".join(said.split()), max(help_width() - column, 20)) or [""]
+            if len(name) + 4 > column:
+                lines.append(f"  {name}")
+                rest = [first, *rest]
+            else:
+                lines.append(f"  {name:<{column - 2}}{first}".rstrip())
+            lines += [" " * column + line for line in rest]
     return "\n".join(lines)
 
 
@@ -85,9 +111,6 @@ def run(arguments: list[str]) -> int:
     check_names(command, arguments)
     if arguments[0] not in ("-h", "--help"):
         import_installed()
-    if arguments[0] in ("-h", "--help"):
-        print(overview(command.commands, min(shutil.get_terminal_size().columns, 100)))
-        raise SystemExit(0)
     words, task = ["infogoal"], ""
     if arguments[0] in CHECKS:
         CHECKS[arguments[0]](arguments)
@@ -101,11 +124,14 @@ def run(arguments: list[str]) -> int:
         word, *arguments = arguments
         words.append(task or word)
         command = command.commands[word]
+    if isinstance(command, Group) and arguments[:1] in (["-h"], ["--help"]):
+        print(overview(command, words))
+        raise SystemExit(0)
     return parsed(
         type_of(command) if isinstance(command, Group) else command,
         " ".join(words),  # All of them, so that what is said about a mistake names this command's help.
         arguments,
-        description=help_of(command),
+        description=wrapped(help_of(command) or inspect.getdoc(command) or "", " "),
         registry=registry,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
     )

@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from infogoal_jax.cli.commands import check_seed
+from infogoal_jax.cli.commands import check_seed, tell
 from infogoal_jax.errors import UserError, counted, require, typed
 from infogoal_jax.imports import entry_points, load
 
@@ -115,7 +115,7 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
     chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     folders.pack(folder, Path(out), chosen)
-    print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {typed(out)}")
+    tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {typed(out)}")
     return 0
 
 
@@ -151,7 +151,7 @@ def video(
         with working_on("drawing"):
             reached = videos.policy_video(run, out, episodes, seed, corruption, height)
         words = f"goal images corrupted with weight {corruption:g}; " if corruption else ""
-        print(
+        tell(
             f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed}; {words}the goal is "
             f"reached in {sum(reached)}"
         )
@@ -168,5 +168,5 @@ def video(
     goals = videos.drawn_goals(env, episodes, seed)
     with working_on("drawing"):
         reached = videos.drawn_video(env, random_policy(env), out, goals, seed, height)
-    print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
+    tell(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
     return 0

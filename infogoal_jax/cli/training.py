@@ -28,8 +28,9 @@ from infogoal_jax.cli.commands import (
     named,
     new_folder,
     seeds_from,
+    tell,
 )
-from infogoal_jax.errors import UserError, require, typed
+from infogoal_jax.errors import UserError, counted, require, typed
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -166,7 +167,8 @@ def with_synonyms(config: Any, lr: float | None, total_steps: int) -> Any:
     require(total_steps <= most, "total_steps", total_steps, f"give at most {most}: {LARGEST_WHOLE} epochs")
     count = max(round(total_steps / chunk), 1)
     epochs = count * config.epochs_per_evaluation
-    print(f"total_steps {count * chunk:,} environment steps at most: {epochs} epochs, {count} evaluations")
+    length = f"{counted(epochs, 'epoch')}, {counted(count, 'evaluation')}"
+    tell(f"total_steps {count * chunk:,} environment steps at most: {length}")
     return dataclasses.replace(config, num_epochs=epochs)
 
 

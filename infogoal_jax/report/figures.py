@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from infogoal_jax import checks, learners
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import require
+from infogoal_jax.errors import counted, require
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.canvas import (
     FORMATS,
@@ -228,7 +228,8 @@ def success_by_goal(subject: Subject) -> Figure | None:
     reached = (subject.evaluations.last()["first_reached"] <= env.episode_length).mean(-1)
     order = sorted(range(len(which)), key=lambda goal: (regions[goal], not trained[goal], names[goal]))
     count, num_starts = len(reached), subject.evaluations.values["first_reached"].shape[-1]
-    shown = f"{num_starts} starts a goal; " + ("1 seed" if count == 1 else f"mean of {count} seeds, each seed a dot")
+    seeds = "1 seed" if count == 1 else f"mean of {count} seeds, each seed a dot"
+    shown = f"{counted(num_starts, 'start')} a goal; {seeds}"
     title = f"success by goal, epoch {subject.evaluations.epochs[-1]}"
     figure = new_figure(subject, title, (9, 1.8 + 0.26 * len(which)), shown=shown)
     axes = figure.subplots()

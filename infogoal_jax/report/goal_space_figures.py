@@ -8,6 +8,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from infogoal_jax.errors import counted
 from infogoal_jax.goal_uses import USES
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.report.canvas import (
@@ -39,7 +40,7 @@ def success_over_goals(subject: Subject) -> Figure:
     first_reached = subject.evaluations.last()["first_reached"]
     success = (first_reached <= env.episode_length).mean((0, -1))
     count, num_starts = len(first_reached), first_reached.shape[-1]
-    shown = f"{num_starts} starts a goal; {'1 seed' if count == 1 else f'mean of {count} seeds'}"
+    shown = f"{counted(num_starts, 'start')} a goal; {'1 seed' if count == 1 else f'mean of {count} seeds'}"
     title = f"success over the goal space, epoch {subject.evaluations.epochs[-1]}"
     figure = new_figure(subject, title, (9.5, 6), shown=shown)
     axes = figure.subplots()

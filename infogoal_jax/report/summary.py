@@ -134,6 +134,11 @@ def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
     )
 
 
+def goals_in_words(goals: int, starts: int) -> str:
+    """What an evaluation asks for: `24 goals x 1 start`."""
+    return f"{counted(goals, 'goal')} x {counted(starts, 'start')}"
+
+
 def print_summary(sweep: training.RunResult, console: Console | None = None) -> None:
     """Print what a run of the host loop came to."""
     show(load_run(sweep.folder), sweep.diverged, console or Console())
@@ -155,9 +160,9 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         last = evaluations.last()
         steps = f"{last['env_steps'].mean():,.0f} {'environment' if acted else 'recorded'} steps a seed"
         if "first_reached" in last:
-            num_goals, num_starts = last["first_reached"].shape[1:]
+            asked = goals_in_words(*last["first_reached"].shape[1:])
             corrupted = corruption_in_words(last, run.config.test_corruption)
-            protocol = f"{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}"
+            protocol = f"{asked}{corrupted}; {seeds_in_words(left)}"
             say(console, f"{head}, {steps}\n{protocol}", style="bold")
             console.print(score_table(last))
         else:
@@ -348,7 +353,7 @@ def evaluate_run(
         metrics={name: value.tolist() for name, value in scores.items()},
         goals=None if typed is None else typed.tolist(),
     )
-    protocol = f"{counted(asked, 'goal')} x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
+    protocol = f"{goals_in_words(asked, starts)} of seed {start_seed}, {epsilon:.0%} of the actions random"
     protocol += corruption_in_words(scores, weight)
     if "near_test_goal/success_rate" in scores:
         protocol += "; near: test goals that count as reached from a training goal"

@@ -106,6 +106,17 @@ def test_the_first_help_has_every_command_by_groups(help_of, monkeypatch, width)
     assert max(map(len, lines)) <= width
 
 
+WITH_HELP = ("", "train", "train object_search", "tune point_maze", "evaluate", "methods", "data", "data build", "fly")
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("words", WITH_HELP)
+def test_no_word_of_a_help_is_broken_by_the_terminal(words, width, help_of, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    lines = help_of(f"{words} --help").splitlines()
+    assert len(lines) > 5 and not [line for line in lines if len(line) > width]
+
+
 def test_help_and_the_version_come_without_jax():
     code = """
 import sys

@@ -55,7 +55,7 @@ def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_
     kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
     assert rows_of(text) == [[kind, code] for kind in kinds for code in ("sampled", "mean")]
     for words in (
-        "48 goals x 1 starts",
+        "48 goals x 1 start",
         "background of weight 0.4",
         "rendered goal images",
         "stand-in",
