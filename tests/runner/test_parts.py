@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import hand_made
@@ -157,6 +158,23 @@ def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
         first = f"object_search learning_rate={rate}: "
         assert f"{first}1 run, program {number} of 2" in printed and f"{first}train 0." in printed
     assert printed.count("loading 0.") >= 2 and "epoch 2/4" not in printed and "━" in printed
+
+
+def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
+    shown = []
+
+    def display(line, display_id):
+        shown.append(repr(line))
+        return types.SimpleNamespace(update=lambda line: shown.append(repr(line)))
+
+    monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
+    monkeypatch.setattr(parts, "Console", lambda: Console(force_jupyter=True))
+    monkeypatch.setattr(progress, "REFRESHED", 0.01)
+    infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4])
+    assert any("0/8  compiling" in line for line in shown) and any(
+        "4/8  0:00 left  compiling" in line for line in shown
+    )
+    assert "8/8  train 0." in shown[-1] and capsys.readouterr().out.count("learning_rate=0.0003: train 0.") == 1
 
 
 def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
