@@ -71,16 +71,17 @@ class Outcome:
 
 def joined(outcomes: list[Outcome]) -> Outcome:
     """Seeds that ran one after the other as one outcome, as far as the shortest of them went: seconds are the mean of a
-    seed. Of runs that were evaluated at other steps those count that went furthest."""
-    furthest = max(outcomes, key=lambda each: each.steps[-1])
-    outcomes = [each for each in outcomes if each.steps[0] == furthest.steps[0]]
-    first, count = outcomes[0], min(len(each.steps) for each in outcomes)
+    seed. Between evaluations success and seconds go in straight lines, since a seed may be evaluated at other steps."""
+    first, end = max(outcomes, key=lambda each: each.steps[-1]), min(each.steps[-1] for each in outcomes)
+    begin = max(each.steps[0] for each in outcomes)
+    steps = sorted({begin, *(at for at in first.steps if begin < at < end), end})
+    updates = first.updates * np.arange(1, len(first.steps) + 1) / len(first.steps)
     return dataclasses.replace(
         first,
-        steps=first.steps[:count],
-        seconds=np.mean([each.seconds[:count] for each in outcomes], 0).tolist(),
-        success=[curve[:count] for each in outcomes for curve in each.success],
-        updates=first.updates * count // len(first.steps),
+        steps=steps,
+        seconds=np.mean([np.interp(steps, each.steps, each.seconds) for each in outcomes], 0).tolist(),
+        success=[np.interp(steps, each.steps, curve).tolist() for each in outcomes for curve in each.success],
+        updates=round(float(np.interp(end, first.steps, updates))),
         compiling=float(np.mean([each.compiling for each in outcomes])),
     )
 

@@ -33,6 +33,15 @@ def test_seeds_are_compared_at_the_steps_that_both_sides_made():
     assert mine[5:] == ["1,000 (2.0x)", "60 (2.0x)", "5.0"] and other[5:] == ["500", "30", "never"]
 
 
+def test_seeds_that_were_evaluated_at_other_steps_are_compared_in_between():
+    early, late = outcome("theirs", rounds=4), outcome("theirs", seed=1, rounds=3, success=0.2)
+    late.steps = [steps + 500 for steps in late.steps]  # 1,500 to 3,500, with 0.2 to 0.6
+    whole = jaxgcrl.joined([early, late])
+    assert whole.steps == [1500, 2000, 3000, 3500] and whole.seconds == [2.5, 3.5, 5.5, 6.5]
+    assert whole.updates == 210  # 60 a round of 1,000 steps
+    np.testing.assert_allclose(whole.success, [[0.15, 0.2, 0.3, 0.35], [0.2, 0.3, 0.5, 0.6]])
+
+
 def test_steps_before_the_first_round_are_in_no_second():
     """As JaxGCRL's, which fill its replay."""
     theirs = outcome("theirs")
