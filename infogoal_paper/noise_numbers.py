@@ -30,6 +30,7 @@ from matplotlib.figure import Figure
 
 from infogoal_jax import presets
 from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_jax.report.summary import LEAST_BETA
@@ -38,7 +39,7 @@ from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
 from infogoal_paper.paper import METHODS as PAPER_METHODS
 from infogoal_paper.scores import over_tasks
-from infogoal_paper.table_formats import machines_in_words, markdown_lines
+from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 from infogoal_paper.trial_numbers import Row
 
 EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
@@ -87,8 +88,12 @@ HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetc
 """The same on Fetch, where no test goal is achieved in training."""
 UNSEEN_FETCH = "fetch_reach+unseen"
 """FetchReach on goal sets that no choice has seen."""
+FIRST_TRIALS = "object_search+small"
+"""Object search with the small preset's floats, for as many epochs."""
 CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
 """What is run there, in order: methods that are near the best on the shipped goals."""
+BESIDE = {UNSEEN_FETCH: CONTENDERS, FIRST_TRIALS: ("infogoal", "her")}
+"""The methods of studies that have few, in order."""
 READINGS: dict[str, dict[str, Any]] = {
     "desired": {"desired_goals": "all"},
     "distance": {"learner.positives": "distance"},
@@ -142,6 +147,7 @@ DATA_SETS = (
     | dict.fromkeys(HELD_OUT_FETCH, (0,))
     | {UNSEEN_FETCH: (7, 8, 9)}
     | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
+    | {FIRST_TRIALS: TASKS["object_search"]}
 )
 """All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
 
@@ -150,8 +156,8 @@ def methods_of(task: str) -> dict[str, str]:
     """The methods that are run on a task, with their names in words."""
     if task in READ:
         return {method: in_words(method) for method in READ[task]}
-    if task == UNSEEN_FETCH:
-        return {method: METHODS[method] for method in CONTENDERS}
+    if task in BESIDE:
+        return {method: METHODS[method] for method in BESIDE[task]}
     if task in HELD_OUT_FETCH:
         return CARRYING
     return CARRYING if task == HELD_OUT else METHODS
@@ -161,6 +167,8 @@ def floats_of(task: str, method: str) -> dict[str, float]:
     """Floats that a method has on a task in place of its preset's. Raises `UserError` for a clean choice that was not
     made."""
     plain, _, reading = method.partition("@")
+    if task == FIRST_TRIALS:
+        return values_of(presets.load("object_search", method, small=True).hyper)
     if reading != "clean":
         return FLOATS.get((task, method), {})
     chosen = tuning.clean_choices(task.partition("+")[0])
@@ -177,6 +185,8 @@ def in_words(method: str) -> str:
 def settings_of(task: str, method: str) -> dict[str, Any]:
     """What a method changes of its preset on a task, but for floats."""
     settings = dict(READINGS.get(method.partition("@")[2], {}))
+    if task == FIRST_TRIALS:
+        settings = {"num_epochs": presets.load("object_search", method, small=True).num_epochs}
     if method.endswith("@clean"):
         settings = {"num_epochs": presets.load(task.partition("+")[0], "none").num_epochs}
     if settings.get("learner.positives"):
@@ -240,6 +250,7 @@ PARTS = {
     "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
     "L": Part(4, all_of(UNSEEN_FETCH)),
+    "M": Part(2, all_of(FIRST_TRIALS)),
     "K": Part(6, tuple(run for run in all_of(FETCH_READ[0]) if run[1].endswith("@clean"))),
     **{
         name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
@@ -261,7 +272,7 @@ TITLES = {
     HELD_OUT_FETCH[0]: "FetchReach, held out",
     HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
-TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ}
+TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ} | {FIRST_TRIALS: "object search, small"}
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
@@ -403,6 +414,11 @@ def difference(numbers: Numbers, task: str, pair: tuple[str, str], kind: str, ru
         epsilon = numbers.best(task, method) if rule == "best" else float(rule)
         values.append(numbers.success(task, method, epsilon, code, kind))
     return paired_by_set(*values) if values[0].keys() & values[1].keys() else None
+
+
+def mean_by_set(values: dict[tuple[int, int], float]) -> Interval:
+    """The mean by (data set, seed), with the interval of `paired_by_set`."""
+    return paired_by_set(values, dict.fromkeys(values, 0.0))
 
 
 def paired_by_set(first: dict[tuple[int, int], float], second: dict[tuple[int, int], float]) -> Interval:
@@ -657,6 +673,32 @@ def carries_table(numbers: Numbers) -> str:
     return f"{markdown_lines(head, rows)}\n\n{said}"
 
 
+def small_table(numbers: Numbers) -> str:
+    """A row for each method with the small preset, and their difference, seeds paired: success at `SAME` on validation
+    goals of the house of the tuning, and on test goals of houses that no choice has seen where they were run."""
+    methods, columns = methods_of(FIRST_TRIALS), {}
+    rows = {method: numbers.values[FIRST_TRIALS, method, SAME, "sampled"] for method in methods}
+    for kind in ("validation", "test"):
+        found = [
+            {
+                place: float(row[kind])
+                for place, row in rows[method].items()
+                if row[kind] and is_development(FIRST_TRIALS, place[0]) == (kind == "validation")
+            }
+            for method in methods
+        ]
+        if all(found):
+            houses = sorted({number for number, _ in found[0]})
+            cells = [*(tight(mean_by_set(own)) for own in found), signed(paired_by_set(*found))]
+            columns[f"{kind} goals, house {', '.join(map(str, houses))}"] = cells
+    heads = [*(f"{title}, `--small`" for title in methods.values()), " - ".join(methods.values())]
+    lines = zip(heads, *columns.values(), strict=True)
+    first = next(iter(rows["her"].values()))
+    seeds = len({seed for _, seed in rows["her"]})
+    said = f"{seeds} seeds, {int(first['updates']):,} updates, ε {SAME}; {first['machine']}."
+    return f"{markdown_lines(['', *columns], [*map(list, lines)])}\n\n{said}"
+
+
 def is_collapsed(row: Row) -> bool:
     """Whether beta of a seed fell to 0 by the end, while its KL still grew: its codes are no bottleneck."""
     return float(row["beta"]) < LEAST_BETA and float(row["kl"]) > float(row["kl_half"])
@@ -680,12 +722,15 @@ def collapse_line(numbers: Numbers) -> str:
 
 
 def tables(rows: Sequence[Row]) -> dict[str, str]:
-    """The tables of docs/research/noise_at_test.md by name; none before the study was run."""
+    """The tables of docs/research/noise_at_test.md by name, and that of the small preset, which has no part in the
+    others; none before the study was run."""
     if not rows:
         return {}
+    first_trials = [row for row in rows if row["task"] == FIRST_TRIALS]
+    rows = [row for row in rows if row["task"] != FIRST_TRIALS]
     numbers = Numbers(rows)
     machines = machines_in_words(sorted({row["machine"] for row in rows}))
-    ran, beside = {row["task"] for row in rows}, {}
+    ran, beside = {row["task"] for row in rows}, {"small": small_table(Numbers(first_trials))} if first_trials else {}
     if ran & READ.keys():
         beside |= {"readings": readings_table(numbers)}
     if ran & set(HELD_OUT_FETCH):

@@ -32,8 +32,7 @@ import numpy as np
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import require
-from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.report.statistics import paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_paper import trial_numbers
 from infogoal_paper.manifest import FETCH
@@ -80,9 +79,6 @@ CLEAN = "clean"
 """The folder of clean choices."""
 CLEAN_NOISE = 0.1
 """Probability of a random action at test in them: a code that is sampled at every step gains nothing by its noise."""
-
-SMALL = f"{CLEAN}/object_search/"
-"""Where the small preset's searches are."""
 
 CLEAN_SPACE = 1
 """Seed of their draws: presets have winners among those of seed 0."""
@@ -252,25 +248,7 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
         if any(method in found for found in shown.values())
     ]
     lines = markdown_lines(["method", *(TITLES[task] for task in shown)], rows)
-    searched = "\n".join([lines, "", *(made_on(task, found) for task, found in shown.items())])
-    return {"searches": searched} | ({"small": first_trials(searches)} if f"{SMALL}her/final" in searches else {})
-
-
-def first_trials(searches: dict[str, Search]) -> str:
-    """What `--small` rests on: success after its epochs and after the preset's in the clean searches on object search,
-    of the presets' floats on the finals' seeds and of the small preset's on those that chose them."""
-    small = presets.load("object_search", small=True)
-    finals = {name: searches[f"{SMALL}{name}/final"] for name in ("infogoal", "her", "none")}
-    epochs = finals["her"]["epochs"]
-    after = [epochs.index(small.num_epochs), len(epochs) - 1]
-    success = {name: [trial_of(search, 0)["success"][i] for i in after] for name, search in finals.items()}
-    trials, floats = searches[f"{SMALL}infogoal"]["trials"], values_of(small.hyper).items()
-    chosen = next(trial["success"] for trial in trials if floats >= trial["values"].items())
-    rows = [["InfoGoal, `--small`", *(tight(mean_interval(chosen[i])) for i in after)]]
-    rows += [[name, *(tight(mean_interval(each)) for each in of_name)] for name, of_name in success.items()]
-    lead = zip(success["infogoal"], success["her"], strict=True)
-    rows.append(["infogoal - her", *(tight(paired_difference(ours, theirs)) for ours, theirs in lead)])
-    return markdown_lines(["floats", *(f"{epochs[i]} epochs" for i in after)], rows)
+    return {"searches": "\n".join([lines, "", *(made_on(task, found) for task, found in shown.items())])}
 
 
 def cell(search: Search) -> str:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import hand_made
 import pytest
 
+from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_paper import batches, noise, noise_numbers, trial_numbers, tuning
@@ -237,3 +238,27 @@ def test_a_clean_choice_is_the_best_of_the_drawn_settings_and_a_final_decides(tm
     assert dict(run.lane.values) == choices["her"] and run.relabelling is None and run.method == "her"
     with pytest.raises(UserError, match="no clean search"):
         noise.run_of("object_search+read", "gcb+her@clean", 7, toy=False)
+
+
+def small(method: str, data_set: int, seed: int, value: float) -> dict[str, str]:
+    """A row of the small preset, of validation goals in the house of the tuning, of test goals in others."""
+    kinds = ("", str(value)) if data_set != tuning.SEED else (str(value), "")
+    about = {"task": noise_numbers.FIRST_TRIALS, "data_set": str(data_set), "seed": str(seed), "updates": "4000"}
+    return row(method, noise_numbers.SAME, kinds[1], kinds[0], machine="a machine", **about)
+
+
+def test_the_small_preset_is_compared_seed_by_seed_with_its_own_floats_and_epochs():
+    preset = presets.load("object_search", "infogoal", small=True)
+    run = noise.run_of(noise_numbers.FIRST_TRIALS, "infogoal", 7, toy=False)
+    assert dict(run.lane.values)["learning_rate"] == preset.hyper.learning_rate != run.preset().hyper.learning_rate
+    assert noise_numbers.settings_of(noise_numbers.FIRST_TRIALS, "her") == {"num_epochs": preset.num_epochs}
+    rows = [
+        small(method, house, seed, value + 0.1 * seed)
+        for method, value in (("infogoal", 0.5), ("her", 0.2))
+        for house in (7, tuning.SEED)
+        for seed in range(3)
+    ]
+    table = noise_numbers.small_table(Numbers(rows))
+    assert "validation goals, house 100 | test goals, house 7" in table
+    assert "| InfoGoal - HER | **+0.30±0.00** | **+0.30±0.00** |" in table
+    assert "test goals" not in noise_numbers.small_table(Numbers([each for each in rows if each["data_set"] != "7"]))
