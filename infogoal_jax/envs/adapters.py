@@ -372,7 +372,8 @@ class Layout:
         try:
             if isinstance(given, slice):
                 return tuple(range(self.size)[given])
-            several = np.atleast_1d(np.asarray(given if np.ndim(given) == 0 else list(given)))
+            as_they_are = np.ndim(given) == 0 or isinstance(given, np.ndarray | jax.Array)
+            several = np.atleast_1d(np.asarray(given if as_they_are else list(given)))
         except (TypeError, ValueError) as error:
             raise UserError(f"{field} = {shown(given)}: {remedy}") from error
         if not several.size:

@@ -236,6 +236,7 @@ class Sizeless(Line):
         (Line(), {"goal": [5]}, "goal = [5]: give places of the observation, which has 5 numbers"),
         (Line(), {"goal": []}, "goal = []: give at least one place"),
         (Line(), {"goal": 0.5}, "goal = 0.5: give places"),
+        (Line(), {"goal": np.array([0], object)}, "goal = array([0], dtype=object): give places"),
         (Line(), {"goal": lambda state: jnp.ones(1)}, "goal = [1.0]: is the same after every env.reset"),
         (Line(), {"goal": slice("a", None)}, "goal = slice('a', None, None): give places"),
         (Line(), {"goal": slice(0, 2, 0)}, "goal = slice(0, 2, 0): give places"),
