@@ -32,7 +32,7 @@ from infogoal_jax.train.evaluation import evaluate, random_policy
 
 LEARNER, AGENT, TASK = "guides/own_parts.md", "guides/own_agent.md", "guides/own_task.md"
 ROBOT = "guides/bridges.md#robots-of-brax,-playground-and-jaxgcrl"
-OGBENCH = "reference/datasets.md#offline-recorded-episodes"
+OGBENCH = "reference/datasets.md#offline-from-recorded-episodes"
 """The pages."""
 SMALL = {"evaluation_starts": 1}
 LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
