@@ -522,7 +522,7 @@ def register(task: str, reward_type: str = "sparse") -> str:
             entry_point=f"{__name__}:TaskGymnasium",
             vector_entry_point=f"{__name__}:TaskVector",
             kwargs=kwargs,
-            max_episode_steps=envs.registry.entry(task).config().episode_length,
+            max_episode_steps=default_length(task),
             order_enforce=False,
             disable_env_checker=True,
         )
@@ -542,12 +542,11 @@ def make(task: str, config: Any = None, render_mode: str | None = None) -> gymna
     `episode_length` is the limit, which `env.spec` knows. render_mode: None or "rgb_array". Raises `UserError` for
     unknown names.
     """
-    default = envs.registry.entry(task).config().episode_length
     env = TaskGymnasium(task, config, render_mode)
     env.spec = copy.deepcopy(gymnasium.spec(register(task)))
     env.spec.max_episode_steps = env.env.episode_length
     env.spec.kwargs |= {
-        "config": None if config is None else dataclasses.replace(config, episode_length=default),
+        "config": None if config is None else dataclasses.replace(config, episode_length=default_length(task)),
         "render_mode": render_mode,
     }
     return env

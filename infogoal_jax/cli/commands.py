@@ -154,6 +154,17 @@ def check_resumed_in_place(resume: str, out: str) -> None:
     )
 
 
+def draw(figures: Callable[..., list[Path]], *arguments: Any) -> list[Path]:
+    """Draw figures(*arguments), and print where each is."""
+    from infogoal_jax.runner.progress import working_on
+
+    with working_on("drawing"):
+        paths = figures(*arguments)
+    for path in paths:
+        print(f"figure      {path}")
+    return paths
+
+
 def check_seed(seed: int, flag: str = "seed") -> None:
     """Raise `UserError`, naming the flag, for a number that is not a seed."""
     require(0 <= seed < 2**32, flag, seed, "give a seed from 0 to below 2^32")

@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from infogoal_jax.cli.commands import check_seed, tell
+from infogoal_jax.cli.commands import check_seed, draw, tell
 from infogoal_jax.errors import UserError, counted, require, typed
 from infogoal_jax.imports import entry_points, load
 
@@ -60,13 +60,9 @@ def report(
             return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run
-    from infogoal_jax.runner.progress import working_on
 
     print_run(Path(run))
-    with working_on("drawing"):
-        paths = draw_figures(Path(run), None, format, captions, style)
-    for path in paths:
-        print(f"figure      {path}")
+    draw(draw_figures, Path(run), None, format, captions, style)
     return 0
 
 
@@ -90,12 +86,9 @@ def compare(
         labels: What the legend calls each run, in their order; empty: its method, and its folder where two are alike.
     """
     from infogoal_jax.report.comparison_figures import draw_comparison
-    from infogoal_jax.runner.progress import working_on
 
     folders = [Path(run) for run in runs]
-    with working_on("drawing"):
-        path = draw_comparison(folders, Path(out), None, metrics, captions, style, labels)
-    print(f"figure      {path}")
+    draw(lambda: [draw_comparison(folders, Path(out), None, metrics, captions, style, labels)])
     return 0
 
 

@@ -25,6 +25,7 @@ from infogoal_jax.cli.commands import (
     Group,
     TaskCommands,
     check_resumed_in_place,
+    draw,
     named,
     new_folder,
     seeds_from,
@@ -135,12 +136,8 @@ def train(
                 return STATUS
             if figures:
                 from infogoal_jax.report.figures import draw_figures
-                from infogoal_jax.runner.progress import working_on
 
-                with working_on("drawing"):
-                    paths = draw_figures(folder, sweep.train.env)
-                for path in paths:
-                    print(f"figure      {path}")
+                paths = draw(draw_figures, folder, sweep.train.env)
                 video = [draw_video(folder, sweep.train.env)] if tensorboard or wandb else []
                 listeners.pictures([*paths, *filter(None, video)])
             return 0
@@ -237,7 +234,6 @@ def train_parts(
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
     from infogoal_jax.runner.executors import run_in_processes, run_on_ray
     from infogoal_jax.runner.parts import NAME, Plan, jobs_of, read_plan, run_parts, start
-    from infogoal_jax.runner.progress import working_on
     from infogoal_jax.runs.checkpoint import check_same_config
 
     if resume:
@@ -262,10 +258,7 @@ def train_parts(
         return STATUS
     print_sweep(folder, plan)
     if figures:
-        with working_on("drawing"):
-            paths = draw_sweep(folder, plan)
-        for path in paths:
-            print(f"figure      {path}")
+        draw(draw_sweep, folder, plan)
     return 0
 
 

@@ -2,7 +2,7 @@
 from, what went wrong."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ GOALS = {
 }
 # Title and decimals.
 COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}
+TITLES = [title for title, _ in COLUMNS.values()]
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
 
 
@@ -90,36 +91,34 @@ def collapses(epochs: RunTable) -> list[str]:
     ]
 
 
+def score_cells(score: Callable[[str], np.ndarray | None]) -> list[str]:
+    """The numbers of `COLUMNS`: mean and interval over seeds of score(column) [seeds], empty where that is None."""
+    return [
+        "" if (values := score(column)) is None else mean_interval(values).show(decimals)
+        for column, (_, decimals) in COLUMNS.items()
+    ]
+
+
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
     [seeds]} with the names of `evaluation.Setting`."""
-    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
-    for column in ("goals", "code", *(title for title, _ in columns.values())):
-        # Numbers stay whole in a narrow terminal, where the words of the goals stand below each other.
-        words = column in ("goals", "code")
-        longest = max(len(word) for title in GOALS.values() for word in title.split()) if column == "goals" else None
-        table.add_column(column, justify="left" if words else "right", no_wrap=longest is None, min_width=longest)
-    for goals, goals_title in GOALS.items():
-        for suffix, code in CODES.items():
-            if f"{goals}{suffix}/success_rate" in scores:
-                cells = [
-                    mean_interval(scores[name]).show(decimals)
-                    if (name := f"{goals}{suffix}/{column}") in scores
-                    else ""
-                    for column, (_, decimals) in columns.items()
-                ]
-                table.add_row(goals_title, code, *cells)
-    return table
+    rows = [
+        (goals_title, code, *score_cells(lambda column, kind=goals + suffix: scores.get(f"{kind}/{column}")))
+        for goals, goals_title in GOALS.items()
+        for suffix, code in CODES.items()
+        if f"{goals}{suffix}/success_rate" in scores
+    ]
+    return number_table(("goals", "code", *TITLES), rows, words=2)
 
 
-def number_table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Rows below their titles, without columns that are empty. Titles are broken where the terminal is narrow, numbers
-    never."""
+def number_table(titles: Sequence[str], rows: Sequence[Sequence[str]], words: int = 0) -> Table:
+    """Rows below their titles, without columns that are empty. Where the terminal is narrow, titles are broken, and
+    what stands in the first columns, so many of words; numbers never."""
     table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     columns = [column for column in zip(titles, zip(*rows, strict=True), strict=True) if any(column[1])]
-    for title, cells in columns:
-        table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
+    for place, (title, cells) in enumerate(columns):
+        whole, justify = (" ".join(cells).split(), "left") if place < words else (cells, "right")
+        table.add_column(title, justify=justify, overflow="fold", min_width=max(map(len, whole)))
     for row in zip(*(cells for _, cells in columns), strict=True):
         table.add_row(*row)
     return table
@@ -249,16 +248,12 @@ def use_of(space: GoalSpace, goal: np.ndarray) -> str:
 
 def goal_table(space: GoalSpace, goals: np.ndarray, scores: dict[str, np.ndarray]) -> Table:
     """A row for each goal [M, *shape], of scores {name: [seeds, M]}."""
-    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    columns = {column: shown for column, shown in COLUMNS.items() if column in scores}
-    table.add_column("goal")
-    table.add_column("use")
-    for title, _ in columns.values():
-        table.add_column(title, justify="right", no_wrap=True)
-    for place, goal in enumerate(goals):
-        cells = [mean_interval(scores[name][:, place]).show(decimals) for name, (_, decimals) in columns.items()]
-        table.add_row(title_of(space, goal), use_of(space, goal), *cells)
-    return table
+    every = {column: values.T for column, values in scores.items()}
+    rows = [
+        (title_of(space, goal), use_of(space, goal), *score_cells(lambda column, place=place: every[column][place]))
+        for place, goal in enumerate(goals)
+    ]
+    return number_table(("goal", "use", *TITLES), rows, words=2)
 
 
 def evaluate_run(

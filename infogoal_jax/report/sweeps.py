@@ -8,7 +8,7 @@ from rich.console import Console
 
 from infogoal_jax import checks
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import require
+from infogoal_jax.errors import counted, require
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
@@ -108,8 +108,8 @@ def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> Non
         rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
     console.print(number_table(titles, rows), crop=False)
-    seeds = f"{len(plan.seeds)} seeds" if len(plan.seeds) > 1 else "1 seed"
     if any(cells for row in rows for cells in row[len(names) : -1]):
+        seeds = counted(len(plan.seeds), "seed")
         say(console, f"success at the last evaluation, mean and 95 % interval over {seeds}")
     say(console, f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
 

@@ -320,21 +320,19 @@ def train_remotely(parcel: Parcel, mailbox: Any) -> None:
     """What a worker does with a job: train it in a folder of its own, and send what it says and writes."""
     import ray
 
-    version, seconds, files = parcel.version, parcel.seconds, parcel.files
-
-    if version != infogoal_jax.__version__:
+    if parcel.version != infogoal_jax.__version__:
         raise UserError(
-            f"a worker has infogoal-jax {infogoal_jax.__version__}, the folder's machine {version}; install the same "
-            "everywhere"
+            f"a worker has infogoal-jax {infogoal_jax.__version__}, the folder's machine {parcel.version}; install the "
+            "same everywhere"
         )
     import_contents(parcel.imports)
     job: Job = ray.cloudpickle.loads(parcel.job)
     use_compilation_cache()
     with tempfile.TemporaryDirectory(prefix="infogoal-") as name:
         folder, said = Path(name), []
-        for path, content in (files | ray.get(mailbox.files_of.remote(job.name))).items():
+        for path, content in (parcel.files | ray.get(mailbox.files_of.remote(job.name))).items():
             write(folder, path, content)
-        place, seen, errors = Place(folder, time.time() + seconds, said.append), stamps(folder), []
+        place, seen, errors = Place(folder, time.time() + parcel.seconds, said.append), stamps(folder), []
 
         def train() -> None:
             try:
@@ -432,7 +430,7 @@ class Cluster:
                 ending = self.stop.requested or self.place.left() < BEGINNING
                 if self.stop.requested:
                     self.mailbox.stop.remote()
-                while not ending and queue and len(self.under_way) < self.count():
+                while not ending and queue and len(self.under_way) < self.count()[0]:
                     job, whole = queue.popleft()
                     # Where the file system has no locks, nothing else keeps a member from two workers.
                     self.submit(job.without(tried), whole, tried)
@@ -450,15 +448,11 @@ class Cluster:
                 each.claims.close()
             self.ray.kill(self.mailbox)
 
-    def machines(self) -> list[dict[str, float]]:
-        """What the machines that are there have to offer."""
-        return [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
-
-    def count(self) -> int:
-        """How many jobs at a time."""
-        machines = self.machines()
+    def count(self) -> tuple[int, int]:
+        """How many jobs at a time, and how many GPUs there are."""
+        machines = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         gpus = int(sum(machine.get("GPU", 0) for machine in machines))
-        return self.workers or gpus or max(1, sum(machine.get("CPU", 0) >= 1 for machine in machines))
+        return self.workers or gpus or max(1, sum(machine.get("CPU", 0) >= 1 for machine in machines)), gpus
 
     def submit(self, job: Job, whole: bool, tried: set[Hashable]) -> None:
         """Let a worker train what is left of a job."""
@@ -468,9 +462,9 @@ class Cluster:
             return
         tried.update(mine.members)
         needs: dict[str, Any] = {"num_cpus": 1, "scheduling_strategy": "SPREAD", "max_retries": LOSSES - 1}
-        gpus = int(sum(machine.get("GPU", 0) for machine in self.machines()))
+        workers, gpus = self.count()
         if gpus:
-            on_one = math.ceil(self.count() / gpus)
+            on_one = math.ceil(workers / gpus)
             needs |= {"num_gpus": 1 / on_one, "runtime_env": {"env_vars": memory_of_each(on_one)}}
         folder = self.place.folder
         files = {path.relative_to(folder).as_posix(): content for path in mine.files(folder) if (content := read(path))}
