@@ -377,6 +377,7 @@ SEARCHED = {
 """What a stranger looks for, and the page that says how: the first that the search shows."""
 LOOKED_UP = {
     "HER": "reference/methods.html",
+    "hindsight": "reference/methods.html",
     "offline": "reference/datasets.html",
     "continuous goals": "reference/vectors.html",
     "command line flags": "reference/flags.html",
