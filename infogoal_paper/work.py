@@ -112,8 +112,9 @@ class ProgramJob:
 
     def work_at(self, place: Place) -> Work:
         """The work on its runs at this place."""
-        settings = self.retry, self.goal_images, self.most_lanes
-        return Work(place.folder, place.deadline, place.say, place.stopping, *settings)
+        return Work(
+            **vars(place) | {"retry": self.retry, "goal_images": self.goal_images, "most_lanes": self.most_lanes}
+        )
 
     def without(self, members: set[Run]) -> "ProgramJob":
         """The job without some of its runs."""
