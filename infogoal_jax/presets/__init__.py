@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search, plane
-from infogoal_jax.presets.plane import JAXGCRL, OGBENCH
+from infogoal_jax.presets.libraries import JAXGCRL, OGBENCH
 from infogoal_jax.presets.preset import Changes, Preset
 
 if TYPE_CHECKING:

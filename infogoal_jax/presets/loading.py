@@ -15,7 +15,7 @@ from infogoal_jax.errors import UserError, nearest, require, require_known, show
 from infogoal_jax.field_types import checked
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import registry
-from infogoal_jax.presets.plane import of_library
+from infogoal_jax.presets.libraries import of_library
 from infogoal_jax.presets.preset import Preset
 
 REGISTRIES = {
