@@ -28,6 +28,7 @@ from places import ROOT, forgotten
 import infogoal_jax
 from infogoal_jax import (
     UserError,
+    agents,
     compiled,
     envs,
     evaluate,
@@ -170,6 +171,11 @@ def never(value) -> bool:
     return False
 
 
+def is_method(value) -> bool:
+    """Names of methods, some of which are short enough to be drawn."""
+    return isinstance(value, str) and value in presets.METHODS
+
+
 def none(value) -> bool:
     """Only what is left out."""
     return value is None
@@ -197,8 +203,8 @@ def an_option(value) -> bool:
 
 
 def a_name(value) -> bool:
-    """A part by its name."""
-    return isinstance(value, str) and value in learners.registry
+    """A learner or an agent by its name."""
+    return isinstance(value, str) and (value in learners.registry or value in agents.registry)
 
 
 def still(observation, goal, key):
@@ -344,9 +350,9 @@ CALLS = {
         {"task": "fetch_reach", "method": "her", "learner": None, "agent": None, "num_envs": 4},
         {
             "task": never,
-            "method": never,
+            "method": is_method,
             "learner": lambda value: none(value) or a_name(value),
-            "agent": none,
+            "agent": lambda value: none(value) or a_name(value),
             "num_envs": lambda value: whole(value, 1, 4000),
         },
     ),
@@ -528,7 +534,7 @@ CALLS = {
     "to_minari": Call(
         minari.to_minari, {"episodes": Episodes(**WALK), "out": "walks"}, {"episodes": never, "out": is_path}
     ),
-    "presets.method_named": Call(presets.method_named, {"name": "her"}, {"name": never}),
+    "presets.method_named": Call(presets.method_named, {"name": "her"}, {"name": is_method}),
     "presets.name_of": Call(presets.name_of, {"config": CONFIG}, {"config": lambda value: value is CONFIG}),
     "presets.default_hyperparameters": Call(
         presets.default_hyperparameters,
