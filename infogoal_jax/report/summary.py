@@ -248,10 +248,10 @@ def use_of(space: GoalSpace, goal: np.ndarray) -> str:
 
 def goal_table(space: GoalSpace, goals: np.ndarray, scores: dict[str, np.ndarray]) -> Table:
     """A row for each goal [M, *shape], of scores {name: [seeds, M]}."""
-    every = {column: values.T for column, values in scores.items()}
+    of_goals = [{column: values[:, place] for column, values in scores.items()} for place in range(len(goals))]
     rows = [
-        (title_of(space, goal), use_of(space, goal), *score_cells(lambda column, place=place: every[column][place]))
-        for place, goal in enumerate(goals)
+        (title_of(space, goal), use_of(space, goal), *score_cells(own.get))
+        for goal, own in zip(goals, of_goals, strict=True)
     ]
     return number_table(("goal", "use", *TITLES), rows, words=2)
 

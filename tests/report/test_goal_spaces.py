@@ -19,7 +19,7 @@ from infogoal_jax.envs.plane import PlaneConfig
 from infogoal_jax.report import export
 from infogoal_jax.report.figures import draw_figures, read_subject
 from infogoal_jax.report.goal_space_figures import corners_of, success_over_goals
-from infogoal_jax.report.summary import evaluate_run, typed_goal
+from infogoal_jax.report.summary import evaluate_run, goal_table, typed_goal
 from infogoal_jax.runner import training
 
 SMALL = {
@@ -73,6 +73,17 @@ def test_a_number_of_any_length_is_a_goal_of_a_list_or_none(word):
     with pytest.raises(UserError, match="^goal = .*(no goal|the task has the goals 0 to)") as error:
         typed_goal(hand_made.environment().goals, word.split(" "))
     assert len(str(error.value)) < 500 and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("columns", [["success_rate", "episode_length"], ["success_rate", "spl", "episode_length"]])
+def test_a_row_of_a_goal_has_the_numbers_that_the_task_has(columns, maze):
+    console = Console(file=io.StringIO(), width=100)
+    scores = {column: np.array([[number, number + 0.5]]) for number, column in enumerate(columns)}
+    console.print(goal_table(maze.goals, np.array([[0.5, 0.5], [2.5, 0.4]], np.float32), scores))
+    first, second = (line.split() for line in console.file.getvalue().splitlines()[2:])
+    assert first[:3] == ["0.5,", "0.5", "training"] and second[:3] == ["2.5,", "0.4", "test"]
+    assert [float(word) for word in first[3:]] == list(range(len(columns)))
+    assert [float(word) for word in second[3:]] == [number + 0.5 for number in range(len(columns))]
 
 
 @pytest.mark.long
