@@ -65,7 +65,7 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
     require(count >= 1, "count", count, "give at least 1")
     if not str(path):
         return _read_crops(SHIPPED_CROPS, count)
-    folder = cifar10_cache() if str(path) == "cifar10" else Path(path).expanduser()
+    folder = cifar10_cache() if str(path) == "cifar10" else Path(os.path.expanduser(path))
     if str(path) == "cifar10":
         require(
             (folder / CIFAR10_FOLDER).exists(),
@@ -225,7 +225,7 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
     Raises UserError if the folder cannot be written to, the download breaks off, or the archive has another checksum.
     """
     require(url.startswith(("http://", "https://")), "url", url, "must begin with http:// or https://")
-    folder = Path(path).expanduser() if str(path) else cifar10_cache()
+    folder = Path(os.path.expanduser(path)) if str(path) else cifar10_cache()
     batches = folder / CIFAR10_FOLDER
     if os.path.exists(batches):
         load(batches, 1)

@@ -2,6 +2,7 @@
 file in the folder of the run; those of four tasks are shipped (docs/reference/low_level.md)."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def read(path: str, env: Environment) -> tuple[dict[str, Any], LowLevel]:
     Raises `UserError` for a file that is missing, damaged, something else, of another task, or of other shapes.
     """
     task = env.space.name
-    file = Path(path).expanduser() if path else shipped(task)
+    file = Path(os.path.expanduser(path)) if path else shipped(task)
     file = file / NAME if file.is_dir() else file
     remedy = f"give one of `infogoal pretrain {task}`, or none at all for the shipped one"
     try:

@@ -99,6 +99,7 @@ MISTAKES = [
     ("train object_search --out a_file/run", ["a_file/run", "could not be written", "does not lead through a file"]),
     ("trian object_search", ["trian", "Did you mean 'train'"]),
     ("evaluate not_there", ["run = 'not_there': there is no such folder"]),
+    ("evaluate ~not_there/run", ["run = '~not_there/run': there is no such folder"]),
     ("tune --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
     ("final --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
     ("compare --out a.png", ["runs = ()", "give 1 to 12 folders of runs"]),

@@ -193,10 +193,12 @@ MISTAKES = [
         ["'fetch_push'", "'fetch_reach'", "infogoal pretrain fetch_reach"],
     ),
     ("train fetch_reach --agent.low-level nothing", ["'nothing'", "no such file"]),
+    ("train fetch_reach --agent.low-level ~not_there", ["'~not_there'", "no such file"]),
     (f"train fetch_reach --env.goal-images {PUSH}", [str(PUSH), "task = 'fetch_push'", "'fetch_reach'"]),
     ("train fetch_reach --env.goal-images nothing.npz", ["'nothing.npz'", "no such file", "reproduce goal-images"]),
     ("train fetch_reach --env.backgrounds empty", ["backgrounds = 'empty'", "is empty"]),
     ("train fetch_reach --env.backgrounds nothing", ["backgrounds = 'nothing'", "no such folder"]),
+    ("train fetch_reach --env.backgrounds ~not_there", ["backgrounds = '~not_there'", "no such folder"]),
     ("train fetch_slide", ["task = 'fetch_slide'", "no preset"]),
 ]
 
