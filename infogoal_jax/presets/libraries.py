@@ -6,12 +6,17 @@ import dataclasses
 from infogoal_jax.presets.plane import AGENTS, HYPER, INFOGOAL, SIMILAR, TRAINING, preset
 from infogoal_jax.presets.preset import Changes, Preset
 
+AS_THEY_ARE = {
+    "state_encoder": {"features": 0},
+    "methods": {"none": Changes(learner={"latent_size": 0}), "infogoal": INFOGOAL, "cogoal": Changes(learner=SIMILAR)},
+}
+"""Fields of a preset: states are seen as they are, and goals where no learner is asked for (`none`)."""
+
 OGBENCH = Preset(
     description="Recorded episodes of OGBench's kind, with its own sizes and floats.",
     agent="gciql",
     relabelling="mixed",
     agents={"qrl": {"goals": "states"}},
-    state_encoder={"features": 0},
     training={
         "num_epochs": 1000,
         "epochs_per_evaluation": 100,
@@ -26,11 +31,10 @@ OGBENCH = Preset(
         "max_gradient_norm": 1e9,
         "intrinsic_weight": 0.0,
     },
-    methods={"none": Changes(learner={"latent_size": 0}), "infogoal": INFOGOAL, "cogoal": Changes(learner=SIMILAR)},
+    **AS_THEY_ARE,
 )
 """For a task of one's own with recordings, `register(name, task, OGBENCH)`: every agent of OGBench is its own, but for
-the alpha, which OGBench chooses for each dataset (`impls/hyperparameters.sh`). Where no learner is asked for (`none`),
-states and goals are seen as they are."""
+the alpha, which OGBench chooses for each dataset (`impls/hyperparameters.sh`)."""
 
 
 LIVE = {
@@ -51,7 +55,6 @@ JAXGCRL = Preset(
     relabelling="her",
     env={"episode_length": 1001, "ends_at_goal": False},
     agents=AGENTS,
-    state_encoder={"features": 0},
     training={
         "num_envs": 256,
         "rollout_steps": 250,
@@ -70,11 +73,11 @@ JAXGCRL = Preset(
         "noise": 0.2,
         "intrinsic_weight": 0.0,
     },
-    methods={"none": Changes(learner={"latent_size": 0}), "infogoal": INFOGOAL, "cogoal": Changes(learner=SIMILAR)},
+    **AS_THEY_ARE,
 )
-"""JaxGCRL's own sizes and floats, an update for every 16 steps; states are seen as they are, and goals where no learner
-is asked for. Encoders in front of contrastive RL, which its critic alone trains, keep it from learning ant: chosen by
-success on training goals while collecting, 0.16 and 0.05 (three seeds, 9 million steps) [M]."""
+"""JaxGCRL's own sizes and floats, an update for every 16 steps. `AS_THEY_ARE`, since encoders in front of contrastive
+RL, which its critic alone trains, keep it from learning ant: chosen by success on training goals while collecting, 0.16
+and 0.05 (three seeds, 9 million steps) [M]."""
 
 
 def of_library(task: str) -> Preset:
