@@ -28,6 +28,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Visited
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import Scores, evaluate, random_policy
 from infogoal_jax.train.program import Train
 
@@ -159,6 +160,12 @@ def untrained(train: Train) -> Train:
         return state, jax.tree.map(of, shapes)
 
     return dataclasses.replace(train, epochs=epochs)
+
+
+def leave_out_updates(patch) -> None:
+    """Let what runs while this `MonkeyPatch` holds be `untrained`."""
+    make_train = training.make_train
+    patch.setattr(training, "make_train", lambda *given: untrained(make_train(*given)))
 
 
 SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}

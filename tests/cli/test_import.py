@@ -16,8 +16,6 @@ from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
-from infogoal_jax.loading import make_train
-from infogoal_jax.runner import training
 from infogoal_jax.runner.parts import Plan, read_plan, start
 from infogoal_jax.runs import tables
 
@@ -86,7 +84,7 @@ def refused(words, capsys):
 def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, monkeypatch, capsys):
     """Everything a run promises is there, and it goes on. A run with updates is among the long tests of the command
     line."""
-    monkeypatch.setattr(training, "make_train", lambda *given: hand_made.untrained(make_train(*given)))
+    hand_made.leave_out_updates(monkeypatch)
     words = "train my_rooms --method none --import my_task.py --out run"
     assert main(f"{words} --seeds 2 --tensorboard".split()) == 0
     assert "success rate" in capsys.readouterr().out

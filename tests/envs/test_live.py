@@ -18,8 +18,6 @@ from infogoal_jax import UserError, envs
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import live
 from infogoal_jax.envs.contract import check_contract
-from infogoal_jax.loading import make_train
-from infogoal_jax.runner import training
 
 KEYS = jax.random.split(jax.random.key(0), 3)
 LIMIT = 12
@@ -280,7 +278,7 @@ def flags(epochs):
 
 def test_a_robot_that_fails_is_one_line(tmp_path, monkeypatch, capsys):
     """In the evaluation, where nothing is updated."""
-    monkeypatch.setattr(training, "make_train", lambda *given: hand_made.untrained(make_train(*given)))
+    hand_made.leave_out_updates(monkeypatch)
     gymnasium.register("Broken-v0", entry_point=Broken, max_episode_steps=4 * LIMIT)
     try:
         out = ["--out", str(tmp_path / "run")]

@@ -45,7 +45,7 @@ def env():
 def sweep(tmp_path_factory, env):
     """A run without an update."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "make_train", lambda *given: hand_made.untrained(make_train(*given)))
+        hand_made.leave_out_updates(patch)
         return training.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
 
 
