@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import platformdirs
 
-from infogoal_jax import files
+from infogoal_jax import checks, files
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.stopping import temporary
 
@@ -46,7 +46,7 @@ def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
     """Turn an error of the disk or a `UserError` in the block into a `UserError` that names the file: `what = 'path':
     ...`."""
     name = f"{what} = {str(path)!r}"
-    check_path(path, what, remedy)
+    checks.path(path, what, remedy)
     try:
         yield
     except FileNotFoundError:
@@ -55,12 +55,6 @@ def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
         raise UserError(f"{name}: cannot be read ({error.strerror or error}); {remedy}") from error
     except UserError as error:
         raise UserError(f"{name}: {error}") from error
-
-
-def check_path(path: Any, what: str, remedy: str) -> None:
-    """Raise `UserError` for what is no path, or an empty one."""
-    is_path = isinstance(path, str | os.PathLike) and isinstance(os.fspath(path), str)
-    require(is_path and os.fspath(path) != "" and "\0" not in os.fspath(path), what, path, remedy)
 
 
 def read(path: str | os.PathLike, remedy: str, version: int | None = 1) -> Archive:
@@ -175,7 +169,7 @@ def save(
     level: int | None = None,
 ) -> None:
     """`write`, for a file that the user asked for: what the disk refuses is a `UserError` that names it."""
-    check_path(path, what, "give the path of a file")
+    checks.path(path, what, "give the path of a file")
     try:
         write(path, members, compression, level)
     except OSError as error:

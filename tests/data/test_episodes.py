@@ -361,6 +361,12 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
         envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "gone.npz")))
 
 
+@pytest.mark.parametrize("name", ["", "a\0b", "\ud800.npz"], ids=["empty", "null byte", "half a character"])
+def test_a_name_that_no_file_can_have_is_refused(name):
+    with pytest.raises(UserError, match=r"^dataset = '.*give an npz with observations"):
+        from_recordings(name)
+
+
 def test_a_task_of_recordings_alone_has_states_as_goals():
     """As OGBench's: every state is a goal, seen as it is, and is achieved where it was recorded."""
     episodes = of_arrays(recorded(observations=SIDE, actions=SIDE))
