@@ -225,36 +225,44 @@ def collect_all(path: Path, dataset: str, episodes: int, steps: int) -> None:
     np.savez_compressed(path, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
+AT_ONCE = 2
+"""Episodes of a task that are stepped side by side: an environment of the cubes takes 170 MB."""
+
+
 def serve(connection: Any, dataset: str, episodes: list[tuple[int, int]]) -> None:
-    """Step environments in a process of their own: "begin" begins all episodes (task, number) anew, "step" steps those
-    that have not ended. An episode begins alike whenever it does."""
+    """Step environments in a process of their own: "begin" begins all episodes (task, number), of numbers from the one
+    given on, "step" steps those that have not ended. An episode begins alike whenever it does."""
     made = [make_environment(dataset) for _ in episodes]
     while True:
-        word, actions = connection.recv()
+        word, given = connection.recv()
         if word == "end":
             return
         if word == "begin":
             ended, reached, seen, goals = np.zeros(len(made), bool), np.zeros(len(made)), [], []
             for env, (task, number) in zip(made, episodes, strict=True):
-                np.random.seed(1000 * task + number)
-                env.action_space.seed(1000 * task + number)
-                observation, info = env.reset(seed=1000 * task + number, options={"task_id": task})
+                seed = 1000 * task + given + number
+                np.random.seed(seed)
+                env.action_space.seed(seed)
+                observation, info = env.reset(seed=seed, options={"task_id": task})
                 seen.append(observation)
                 goals.append(info["goal"])
             connection.send((np.array(seen, np.float32), np.array(goals, np.float32)))
             continue
         for number, env in enumerate(made):
             if not ended[number]:
-                seen[number], _, terminated, truncated, info = env.step(actions[number])
+                seen[number], _, terminated, truncated, info = env.step(given[number])
                 ended[number], reached[number] = terminated or truncated, info["success"]
         connection.send((np.array(seen, np.float32), ended, reached))
 
 
 class Environments:
-    """Episodes side by side in several processes."""
+    """Episodes of all tasks for several seeds, a few at a time side by side in several processes."""
 
-    def __init__(self, dataset: str, episodes: list[tuple[int, int]], processes: int):
+    def __init__(self, dataset: str, seeds: int, episodes: int, processes: int):
         context = multiprocessing.get_context("spawn")
+        tasks = len(make_environment(dataset).unwrapped.task_infos)
+        self.shape, self.count = (seeds, tasks, min(AT_ONCE, episodes)), episodes
+        episodes = [(task, each) for task in range(1, tasks + 1) for each in range(self.shape[2])] * seeds
         self.shares = np.array_split(np.arange(len(episodes)), min(processes, len(episodes)))
         self.connections, self.processes = [], []
         for share in self.shares:
@@ -267,12 +275,18 @@ class Environments:
             self.processes.append(process)
 
     def run(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> np.ndarray:
-        """Whether each episode ended in success, by act(observations [E, F], goals [E, G]) -> actions [E, A]. noise:
-        standard deviation of an error in the goal that `act` is told, which stays for the episode."""
+        """The fraction of episodes that ended in success [S, tasks], by act(observations [E, F], goals [E, G]) ->
+        actions [E, A] for episodes of one seed after another. noise: standard deviation of an error in the goal that
+        `act` is told, which stays for the episode."""
+        found = [self.run_from(first, act, noise) for first in range(0, self.count, self.shape[2])]
+        return np.concatenate(found, -1)[..., : self.count].mean(-1)
+
+    def run_from(self, first: int, act: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float) -> np.ndarray:
+        """Which episodes of each task ended in success [S, tasks, AT_ONCE], from this number on."""
         for connection in self.connections:
-            connection.send(("begin", None))
+            connection.send(("begin", first))
         seen, goals = map(np.concatenate, zip(*(connection.recv() for connection in self.connections), strict=True))
-        goals = goals + np.float32(noise) * np.random.default_rng(0).standard_normal(goals.shape, np.float32)
+        goals = goals + np.float32(noise) * np.random.default_rng(first).standard_normal(goals.shape, np.float32)
         while True:
             actions = np.asarray(act(seen, goals))
             for connection, share in zip(self.connections, self.shares, strict=True):
@@ -280,7 +294,7 @@ class Environments:
             answers = [connection.recv() for connection in self.connections]
             seen, ended, reached = map(np.concatenate, zip(*answers, strict=True))
             if ended.all():
-                return reached
+                return reached.reshape(self.shape)
 
     def close(self) -> None:
         """End the processes."""
@@ -510,17 +524,14 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         if done < mark:
             break
         if environments is None:
-            tasks = len(make_environment(words.dataset).unwrapped.task_infos)
-            episodes = [(task, each) for task in range(1, tasks + 1) for each in range(sizes.episodes)]
             processes = max(1, len(job.seeds) * (os.cpu_count() or 1) // words.programs)
-            environments = Environments(words.dataset, episodes * len(job.seeds), processes)
-        shape = len(job.seeds), tasks, sizes.episodes
-        reached = environments.run(program.act).reshape(shape).mean(-1)
+            environments = Environments(words.dataset, len(job.seeds), sizes.episodes, processes)
+        reached = environments.run(program.act)
         outcome.updates.append(done)
         for of_seed, found in zip(outcome.success, reached.tolist(), strict=True):
             of_seed.append(found)
         if words.goal_noise:
-            noisy = environments.run(program.act, words.goal_noise).reshape(shape).mean(-1)
+            noisy = environments.run(program.act, words.goal_noise)
             for of_seed, found in zip(outcome.noisy, noisy.tolist(), strict=True):
                 of_seed.append(found)
         append(words.out, outcome)
