@@ -30,6 +30,12 @@ MOST = 2**31
 NOT_SUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
 
 
+def expanded(path: str | os.PathLike) -> Path:
+    """The path with the folder of a user in place of `~`. It stays as it is for a user who is not there, for whom
+    pathlib's own `expanduser` raises a `RuntimeError`."""
+    return Path(os.path.expanduser(path))
+
+
 def regular(path: str | os.PathLike) -> Path:
     """The path of a file that can be read to its end. Raises `OSError` for a folder, a pipe or a device."""
     path = Path(path)

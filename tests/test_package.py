@@ -112,6 +112,18 @@ def test_what_benchmarks_import_of_the_package_is_there(path):
                     importlib.import_module(f"{node.module}.{alias.name}")  # Raises what is missing.
 
 
+def test_a_home_is_looked_up_in_one_way():
+    """`files.expanded`: what pathlib has fails for a user who is not there."""
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for package in (PACKAGE, *(ROOT / name for name in (*BESIDE, "tools", "benchmarks")))
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and node.attr == "expanduser"
+    }
+    assert found == {"infogoal_jax/files.py"}
+
+
 def test_there_is_one_loop_over_chunks():
     """Nothing but runner/sweep.py makes the programs of epochs and evaluation, or calls them."""
     found = set()

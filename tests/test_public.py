@@ -454,6 +454,7 @@ CALLS = {
             "num_evaluated": 2,
             "starts": 1,
             "source": "",
+            "goals_drawn": 2,
         },
         {
             "env": lambda value: value is LINE,
@@ -468,6 +469,7 @@ CALLS = {
             "held_out": lambda value: none(value) or value is zero,
             "num_evaluated": lambda value: whole(value, 1, 4096),
             "starts": lambda value: whole(value, 1, 4096),
+            "goals_drawn": lambda value: whole(value, 2, 2**16),
             "source": lambda value: isinstance(value, str),
         },
     ),

@@ -45,7 +45,9 @@ from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import chunk_of
 from infogoal_paper.jaxgcrl import Outcome, load
 
-STEPS_PER_UPDATE = 16
+OURS = presets.JAXGCRL.training
+"""Our sizes, which are JaxGCRL's own where it has them."""
+STEPS_PER_UPDATE = OURS["num_envs"] * OURS["rollout_steps"] // OURS["updates_per_epoch"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,22 +59,21 @@ class Sizes:
     evaluations: int = 10
     rounds: int = 10**9
     """Evaluations after which a program stops, at most."""
-    num_envs: int = 256
-    """Environments of JaxGCRL; ours has as many, and longer rows, within which hindsight looks ahead."""
+    num_envs: int = OURS["num_envs"]
+    """Environments of both; ours has longer rows, within which hindsight looks ahead."""
     unroll: int = 62
     """Steps of each before an update, in JaxGCRL's program."""
-    episode_length: int = 1001
-    batch_size: int = 256
+    episode_length: int = presets.JAXGCRL.env["episode_length"]
+    batch_size: int = OURS["batch_size"]
     """Of both. It divides the steps of an episode of all of JaxGCRL's environments, with the last step and without."""
-    replay: int = 10_000
-    """Steps that JaxGCRL keeps of each environment."""
+    replay: int = OURS["buffer_steps"] // OURS["num_envs"]
+    """Steps that are kept of each environment."""
     prefill: int = 1_000
     """Steps of each before the first update, in JaxGCRL's program."""
     num_eval: int = 128
     """Episodes of an evaluation."""
-    our_envs: int = 256
-    our_steps: int = 250
-    """Environments of ours, and steps of each between updates."""
+    our_steps: int = OURS["rollout_steps"]
+    """Steps of each environment of ours between updates."""
 
 
 TOY = Sizes(
@@ -85,7 +86,6 @@ TOY = Sizes(
     replay=80,
     prefill=40,
     num_eval=4,
-    our_envs=4,
     our_steps=20,
 )
 
@@ -93,13 +93,13 @@ TOY = Sizes(
 def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
     """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
     first evaluation after the deadline, in seconds of `time.perf_counter`."""
-    num_goals = sizes.num_eval // 2
+    num_goals = sizes.num_eval // OURS["evaluation_starts"]
     task_env = envs.from_jaxgcrl(
         task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
     )
     name = f"jaxgcrl_{task}"
     presets.register(name, task_env, presets.JAXGCRL)
-    collected = sizes.our_envs * sizes.our_steps
+    collected = sizes.num_envs * sizes.our_steps
     per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
     config = presets.load(
         name,
@@ -107,12 +107,11 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
         agent=agent,
         num_epochs=sizes.evaluations * per_evaluation,
         epochs_per_evaluation=per_evaluation,
-        num_envs=sizes.our_envs,
+        num_envs=sizes.num_envs,
         rollout_steps=sizes.our_steps,
         updates_per_epoch=collected // STEPS_PER_UPDATE,
         batch_size=sizes.batch_size,
         buffer_steps=max(sizes.replay * sizes.num_envs, collected),
-        evaluation_starts=2,
     )
     if agent == "td3":
         config = dataclasses.replace(config, hyper=config.hyper.replace(epsilon=0.1))

@@ -99,8 +99,14 @@ class Choice(Parts):
 
 
 ENV = "--env"
-LIBRARIES = ("brax", "playground", "jaxgcrl", "gymnasium")
-"""What can be given by --env. Each is a task, whose flag --env.id says which environment."""
+"""The flag for an environment of another library. Each library is a task, whose flag --env.id says which one."""
+
+
+def libraries() -> list[str]:
+    """The libraries that --env can name. To know them takes the import of jax, which no help waits for."""
+    from infogoal_jax.envs.named import LIBRARIES
+
+    return list(LIBRARIES)
 
 
 def with_environment(arguments: list[str]) -> list[str]:
@@ -115,18 +121,18 @@ def with_environment(arguments: list[str]) -> list[str]:
         elif flag == ENV:
             given.append(value)
             is_name = not sign
-        elif number == 0 and word.partition(":")[0] in LIBRARIES and ":" in word:
+        elif number == 0 and ":" in word and word.partition(":")[0] in libraries():
             given.append(word)
         else:
             rest.append(word)
     if not given:
         return arguments
     library, _, name = given[0].partition(":")
-    remedy = f"give {' or '.join(f'{known}:NAME' for known in LIBRARIES)}"
+    remedy = f"give {' or '.join(f'{known}:NAME' for known in libraries())}"
     if library == "ogbench":
         remedy = "it is data without a simulator in JAX: give --env.dataset FILE, or envs.from_recordings(FILE)"
-    if len(given) > 1 or library not in LIBRARIES or not name:
-        raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, list(LIBRARIES))}".rstrip("."))
+    if len(given) > 1 or library not in libraries() or not name:
+        raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, libraries())}".rstrip("."))
     if first_word(rest):
         raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
     return [library, "--env.id", name, *rest]

@@ -3,7 +3,6 @@
 import functools
 import inspect
 import itertools
-import os
 import re
 import shutil
 import signal
@@ -23,6 +22,7 @@ from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import expanded
 from infogoal_jax.imports import entry_points, import_installed, load, take_imports
 from infogoal_jax.stopping import NOTHING, STATUS, at_words
 
@@ -141,7 +141,7 @@ def at_home(word: str) -> str:
     """A word of the command line with the folder of the user in place of `~/`, also behind `--flag=`, where a shell
     leaves it."""
     flag, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
-    return flag + sign + (os.path.expanduser(value) if value.startswith("~/") else value)
+    return flag + sign + (str(expanded(value)) if value.startswith("~/") else value)
 
 
 def refused_devices() -> str:

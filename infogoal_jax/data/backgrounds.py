@@ -16,7 +16,7 @@ from infogoal_jax.data import archives, members, pictures
 from infogoal_jax.data.archives import user_cache
 from infogoal_jax.data.members import Member
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.files import read_bytes
+from infogoal_jax.files import expanded, read_bytes
 from infogoal_jax.stopping import temporary
 
 SIZE = 64
@@ -65,7 +65,7 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
     require(count >= 1, "count", count, "give at least 1")
     if not str(path):
         return _read_crops(SHIPPED_CROPS, count)
-    folder = cifar10_cache() if str(path) == "cifar10" else Path(os.path.expanduser(path))
+    folder = cifar10_cache() if str(path) == "cifar10" else expanded(path)
     if str(path) == "cifar10":
         require(
             (folder / CIFAR10_FOLDER).exists(),
@@ -225,7 +225,7 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
     Raises UserError if the folder cannot be written to, the download breaks off, or the archive has another checksum.
     """
     require(url.startswith(("http://", "https://")), "url", url, "must begin with http:// or https://")
-    folder = Path(os.path.expanduser(path)) if str(path) else cifar10_cache()
+    folder = expanded(path) if str(path) else cifar10_cache()
     batches = folder / CIFAR10_FOLDER
     if os.path.exists(batches):
         load(batches, 1)

@@ -42,6 +42,7 @@ MOST_STARTS = 4096
 """Starts of one episode: more than any device begins beside each other for each of its environments."""
 GOALS_DRAWN = 4096
 """Goals that are drawn of an environment's own, to find how far they spread."""
+MOST_DRAWN = 2**16
 MARGIN = 0.05
 """How far the goal space goes beyond those, as a fraction of their spread."""
 WRAPPED = ("first_obs", "first_pipeline_state", "AutoResetWrapper_first_obs", "steps", "truncation")
@@ -132,6 +133,7 @@ def from_brax(
     num_evaluated: int = EVALUATED_GOALS,
     starts: int = 1,
     source: str = "",
+    goals_drawn: int = GOALS_DRAWN,
 ) -> AdaptedTask:
     """An environment of brax, without training wrappers, as a task.
 
@@ -141,9 +143,10 @@ def from_brax(
     episode_length: steps of an episode. ends_at_goal: whether reaching the goal ends it. Where the environment sets
         `done` and the goal is not reached, the episode has failed: nothing is worth anything after it.
     low, high: corners [D] between which training goals are drawn uniformly; None: the environment's own goals.
-    held_out: (goal [D]) -> whether no training goal lies there, see `GoalBox.of`; own goals then come from 4,096 that
+    held_out: (goal [D]) -> whether no training goal lies there, see `GoalBox.of`; own goals then come from those that
         were drawn once. num_evaluated: goals of each use that an evaluation asks for.
     starts: starts that are drawn to find one at which the goal is not reached.
+    goals_drawn: own goals that are drawn, a reset each, to find how far they spread.
 
     Observations that are pytrees are flattened in the order of `jax.tree.leaves`, which sorts the keys of dictionaries.
     Raises `UserError`, naming the argument, for what the environment does not have.
@@ -156,6 +159,7 @@ def from_brax(
     require(radius > 0, "radius", radius, "give a distance greater than 0")
     checks.whole(episode_length, "episode_length", 1, LARGEST_WHOLE)
     checks.whole(starts, "starts", 1, MOST_STARTS)
+    checks.whole(goals_drawn, "goals_drawn", 2, MOST_DRAWN)
     checks.flag(ends_at_goal, "ends_at_goal")
     checks.text(source, "source", "say what is simulated, in words")
     require((low is None) == (high is None), "high", high, "give both low and high, or neither")
@@ -188,7 +192,7 @@ def from_brax(
     )
     sampler = None
     if low is None:
-        drawn = drawn_goals(task)
+        drawn = drawn_goals(task, goals_drawn)
         spread = np.maximum(MARGIN * np.ptp(drawn, 0), radius)
         low, high = drawn.min(0) - spread, drawn.max(0) + spread
         sampler = partial(one_of, drawn)
@@ -442,9 +446,9 @@ def sizes_of(read: Callable[[Any], jax.Array], state: Any, field: str) -> int:
     return checks.traced(field, read, state).shape[0]
 
 
-def drawn_goals(task: AdaptedTask) -> np.ndarray:
-    """Goals that the environment draws, float32 [M, D]."""
-    keys = jax.random.split(from_seed(np.uint32(0)), getattr(task.env, "goals_drawn", GOALS_DRAWN))
+def drawn_goals(task: AdaptedTask, count: int) -> np.ndarray:
+    """So many goals that the environment draws, float32 [M, D]."""
+    keys = jax.random.split(from_seed(np.uint32(0)), count)
     drawn = np.asarray(jax.jit(jax.vmap(lambda key: task.read_goal(task.begin(key))))(keys))
     require(np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset")
     remedy = "is the same after every env.reset; read it where the environment draws it, or give low and high"

@@ -117,6 +117,7 @@ def from_gymnasium(
         episode_length=min(filter(None, (episode_length, limit))),
         ends_at_goal=ends_at_goal,
         source=source or f"{first.name} of Gymnasium, simulated",
+        goals_drawn=GOALS_DRAWN,
         **arguments,
     )
     return LiveTask(**{field.name: getattr(task, field.name) for field in dataclasses.fields(task)})
@@ -370,8 +371,6 @@ def carried(value: Any) -> np.ndarray | None:
 
 class Batch:
     """Any number of environments with the interface of brax, played by a few simulators."""
-
-    goals_drawn = GOALS_DRAWN
 
     def __init__(self, first: Simulator, make: Callable, read: Any, write: Any, count: int):
         self.action_size = first.env.action_space.shape[0]

@@ -17,6 +17,7 @@ from infogoal_jax.envs.goal_task import GoalTaskConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
+from infogoal_jax.files import expanded
 from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalConfig, InfoGoalHyperparameters
@@ -82,7 +83,7 @@ def located(config: TrainConfig) -> TrainConfig:
     for kind, fields in FILES.items():
         part = getattr(config, kind)
         given = {name: getattr(part, name, None) for name in fields}
-        paths = {name: os.path.expanduser(path) for name, path in given.items() if isinstance(path, str) and path}
+        paths = {name: expanded(path) for name, path in given.items() if isinstance(path, str) and path}
         found = {name: os.path.abspath(path) for name, path in paths.items() if os.path.exists(path)}
         parts[kind] = dataclasses.replace(part, **found) if found else part
     return dataclasses.replace(config, **parts)

@@ -246,7 +246,7 @@ def write_zip(file, folder: Path) -> None:
 def find_run(run: str | Path) -> Path:
     """The folder of a run that is named by its folder, by a packed file, or as `shipped/NAME`. Raises `UserError` for a
     name that is not shipped, or a file that is no packed run."""
-    path = Path(os.path.expanduser(run))  # Path.expanduser fails for a user that is not there.
+    path = files.expanded(run)
     name = path.as_posix()
     if name.startswith(PREFIX) and not path.exists():
         require_known("run", name, shipped(), "no such policy")

@@ -2,7 +2,6 @@
 file in the folder of the run; those of four tasks are shipped (docs/reference/low_level.md)."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from infogoal_jax import policy_file
 from infogoal_jax.data import archives
 from infogoal_jax.envs.environment import Environment, one_observation
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import expanded
 
 NAME = "low_level.npz"
 SHIPPED = Path(__file__).parent.parent / "data" / "files" / "low_levels"
@@ -66,7 +66,7 @@ def read(path: str, env: Environment) -> tuple[dict[str, Any], LowLevel]:
     Raises `UserError` for a file that is missing, damaged, something else, of another task, or of other shapes.
     """
     task = env.space.name
-    file = Path(os.path.expanduser(path)) if path else shipped(task)
+    file = expanded(path) if path else shipped(task)
     file = file / NAME if file.is_dir() else file
     remedy = f"give one of `infogoal pretrain {task}`, or none at all for the shipped one"
     try:

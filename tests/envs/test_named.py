@@ -7,7 +7,6 @@ import sys
 import pytest
 
 from infogoal_jax import envs, presets
-from infogoal_jax.cli import choice
 from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import named
@@ -95,11 +94,6 @@ def test_what_brax_has_is_what_is_told():
     own = dataclasses.replace(config, id="reacher", goal=(4, 5), achieved=(0, 1), radius=0.3)
     told = named.arguments_of("brax", own, named.BRAX["reacher"])
     assert (told["goal"], told["achieved"], told["hidden"], told["radius"]) == ([4, 5], [0, 1], [], 0.3)
-
-
-def test_the_command_line_knows_each_library():
-    """Help names them without importing what jax needs."""
-    assert choice.LIBRARIES == tuple(named.LIBRARIES) == (*FAMILIES, "gymnasium")
 
 
 @pytest.mark.long
