@@ -27,6 +27,7 @@ from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.envs.graph import UNREACHABLE, DetectionWalk, GraphWalk
+from infogoal_jax.envs.object_search import RememberingSearch
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.runs.configuration import to_dict
@@ -130,16 +131,18 @@ def with_one_shape(envs: list[Any]) -> list[Any]:
         in_view = max(walk.achieved_goals.shape[1] for walk in walks)
         padded = [walk.replace(achieved_goals=widened(walk.achieved_goals, 1, in_view, -1)) for walk in padded]
         if all(walk.recorded is None and walk.views is None for walk in walks):
-            images = max(walk.num_observations for walk in walks)
+            images = max(len(walk.images) for walk in walks)
             padded = [with_images(walk, images) for walk in padded]
     return [walk if env is env.unwrapped else env.replace(env=walk) for env, walk in zip(envs, padded, strict=True)]
 
 
 def with_images(walk: DetectionWalk, images: int) -> DetectionWalk:
     """The walk with so many images. One that was added leads to itself, and shows nothing."""
-    count = walk.num_observations
+    count = len(walk.images)
     own = jnp.broadcast_to(jnp.arange(count, images, dtype=walk.next_node.dtype)[:, None], (images - count, 1))
     added = jnp.repeat(own, walk.action_size, axis=1)
+    if isinstance(walk, RememberingSearch):
+        walk = walk.replace(cell=widened(walk.cell, 0, images, 0))
     return walk.replace(
         next_node=jnp.concatenate([walk.next_node, added]),
         images=widened(walk.images, 0, images, 0),

@@ -74,13 +74,14 @@ def scenes(image_size: int = 8) -> SearchScenes:
     )
 
 
-def environment(episode_length: int = 20) -> ObjectSearch:
+def environment(episode_length: int = 20, memory: bool = False, position: np.ndarray | None = None) -> ObjectSearch:
     """The hand-made task; a goal's input is a random but fixed unit vector of 16 numbers."""
     inputs = np.random.default_rng(1).normal(size=(2 * ROOMS, 16)).astype(np.float32)
-    return lay_out(scenes(), SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length)
+    seen = scenes() if position is None else dataclasses.replace(scenes(), position=position)
+    return lay_out(seen, SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length, memory)
 
 
-def environment_from_above() -> ObjectSearch:
+def environment_from_above(**changes) -> ObjectSearch:
     """The hand-made task with its plan: a cross of places 0.6 m apart, room r at r quarter turns."""
     position = np.zeros((4 * (1 + ROOMS * DEPTH), 3), np.float32)
     for state in range(len(position)):
@@ -88,7 +89,7 @@ def environment_from_above() -> ObjectSearch:
         room, depth = divmod(place - 1, DEPTH)
         distance, angle = (0.6 * (depth + 1) if place else 0.0), room * math.pi / 2
         position[state] = distance * math.cos(angle), distance * math.sin(angle), heading * math.pi / 2
-    return environment().replace(position=jnp.asarray(position))
+    return environment(position=position, **changes)
 
 
 def config(method: str = "infogoal", **changes) -> TrainConfig:

@@ -7,19 +7,20 @@ the same orientation. Goals are therefore the different orientations. A goal is 
 
 import dataclasses
 import warnings
+from typing import Annotated
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.angles import geodesic, on_circles, orientation_classes, quaternions, rotation_matrices
+from infogoal_jax.angles import geodesic, on_circles, orientation_classes, quaternions, rotation_matrices, wrapped
 from infogoal_jax.data import backgrounds, frames, pictures
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
-from infogoal_jax.field_types import Count, Size
+from infogoal_jax.field_types import Count, Size, Within
 from infogoal_jax.goal_uses import MOST_GOALS, NO_USE, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.shapes import aligned
@@ -28,6 +29,12 @@ REACHED = np.deg2rad(10.0)
 """Largest angle between the pose and the goal at which the goal is reached, in radians [P]."""
 FARTHEST_TEST = np.deg2rad(90.0)
 """Largest angle between a test pose and the nearest training pose, in radians [P]."""
+
+WHOLE_TURN = 180.0
+"""Degrees within which every angle lies."""
+OF_IMAGES = ("frames", "state", "rotation", "joints", "position", "detected")
+OF_MOVES = ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+"""Fields of a `FrameDataset` that have a row for each image, and for each move."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +48,9 @@ class ObjectManipulationConfig:
     """Seed of the generated dataset."""
     physical_limits: bool = False
     """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as in the paper."""
+    joint_range: Annotated[float, Within("(0, 180]", "give degrees, more than 0 and at most 180")] = 180.0
+    """Largest angle of a joint, in degrees: images in which one is turned farther are left out. A smaller world is an
+    easier task."""
     goal_seed: Count = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
@@ -243,7 +253,29 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
     """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
     config.check(None)
     data = load_frames(config.dataset, config.generator_seed, config.physical_limits)
+    if config.joint_range < WHOLE_TURN:
+        data = turned_within(data, config)
     return lay_out(data, None if config.privileged else backgrounds.load(config.backgrounds), config)
+
+
+def turned_within(data: frames.FrameDataset, config: ObjectManipulationConfig) -> frames.FrameDataset:
+    """The dataset without images in which a joint is turned beyond `joint_range`, and without moves to or from one.
+    Raises `UserError` where joints are not known, or no image is left."""
+    given = config.joint_range
+    require(data.joints is not None, "env.joint_range", given, "env.dataset tells no joint angles: leave it at 180")
+    kept = (np.abs(wrapped(data.joints)) <= np.radians(given) + 1e-6).all(1)
+    moved = kept[data.frame] & kept[data.next_frame]
+    nearest = np.degrees(np.abs(wrapped(data.joints)).max(1).min())
+    require(moved.any(), "env.joint_range", given, f"leaves no move: give more than {nearest:.0f} degrees, at most 180")
+    number = np.cumsum(kept, dtype=np.int32) - 1
+    images, moves = (
+        {name: getattr(data, name)[rows] for name in names if getattr(data, name) is not None}
+        for rows, names in ((kept, OF_IMAGES), (moved, OF_MOVES))
+    )
+    images["state"] = np.unique(images["state"], return_inverse=True)[1].astype(np.int32)
+    moves |= {name: number[moves[name]] for name in ("frame", "next_frame")}
+    about = data.about | {"name": f"{data.about['name']}, joints within {given:g} degrees"}
+    return dataclasses.replace(data, about=about, **images, **moves)
 
 
 def lay_out(

@@ -15,6 +15,7 @@ from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTaskConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
+from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
 from infogoal_jax.files import expanded
@@ -52,7 +53,8 @@ ADDED: dict[type, dict[str, Any]] = {
     CHERConfig: {"skip_reached": False},
     GHRLConfig: {"choice": "best"},
     AllGoalsConfig: {"desired_share": 0.0},
-    ObjectManipulationConfig: {"privileged": False},
+    ObjectManipulationConfig: {"privileged": False, "joint_range": 180.0},
+    ObjectSearchConfig: {"memory": False},
     EmbodiedQAConfig: {"gathered": False},
     FetchConfig: {"held_out": "nothing"},
     GoalTaskConfig: {"dataset": ""},

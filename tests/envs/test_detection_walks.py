@@ -76,6 +76,64 @@ def test_achieved_goals_agree_with_what_is_reached(house):
         ]
 
 
+def test_a_memory_has_the_start_at_reset_and_then_the_places_of_a_walk():
+    """From the end of room 0 to the crossing and into room 1: the plan is a cross of 16 x 16 cells, x by rows."""
+    env = hand_made.environment_from_above(memory=True)
+    state = env.reset_to(jax.random.key(0), jnp.asarray(0))
+    assert np.flatnonzero(state.visited).tolist() == [int(env.cell[state.node])]
+    state = state.replace(node=jnp.asarray(4 * 3), visited=env.visit(jnp.zeros_like(state.visited), jnp.asarray(4 * 3)))
+    levels = [np.asarray(state.visited).reshape(16, 16)]
+    for action in ("backward", "backward", "backward", "rotate_ccw", "forward"):
+        state = env.step(state, jnp.asarray(env.action_names.index(action)))
+        levels.append(np.asarray(state.visited).reshape(16, 16))
+    assert np.argwhere(levels[0]).tolist() == [[15, 8]]
+    assert np.argwhere(levels[3]).tolist() == [[8, 8], [10, 8], [13, 8], [15, 8]]
+    assert np.argwhere(levels[-1]).tolist() == [[8, 8], [8, 10], [10, 8], [13, 8], [15, 8]]
+    assert levels[-1][8, 10] == 255 > levels[-1][8, 8] > levels[-1][10, 8] > levels[-1][15, 8] > 0
+
+
+def test_a_memory_never_forgets_a_place_however_long_the_episode():
+    env = hand_made.environment_from_above(memory=True, episode_length=600)
+    visited = jax.jit(env.visit)(jnp.zeros(256, jnp.uint8), jnp.asarray(0))
+    for _ in range(300):
+        visited = env.visit(visited, jnp.asarray(12))
+    assert set(np.unique(visited).tolist()) == {0, 1, 255}
+
+
+def test_the_state_encoder_sees_a_memory_and_episodes_without_one_are_the_same(house):
+    env = hand_made.environment_from_above(memory=True)
+    here = env.visit(jnp.zeros(256, jnp.uint8), jnp.asarray(0))
+    there = env.visit(here, jnp.asarray(12))
+    seen = [env.render(object_search.Remembered(jnp.asarray(12), visited)) for visited in (here, there)]
+    assert seen[0].shape == (8, 8, 2) and seen[0].dtype == jnp.uint8
+    np.testing.assert_array_equal(seen[0][..., 0], house.images[12])
+    assert (seen[0][..., 1] != seen[1][..., 1]).any()
+    train = make_train(hand_made.config("none", env=REMEMBERING), env)
+    features = jax.jit(train.parts.state_encoder.apply)
+    params = train.parts.state_encoder.init(jax.random.key(0), seen[0])
+    assert (features(params, seen[0]) != features(params, seen[1])).any()
+    states = [each.reset(jax.random.key(3)) for each in (env, house)]
+    assert states[0].node == states[1].node and env.observe(states[0]).image == house.observe(states[1])
+
+
+REMEMBERING = object_search.ObjectSearchConfig(episode_length=20, image_size=8, memory=True)
+
+
+def test_a_memory_is_refused_where_images_do_not_say_where_they_were_taken_and_beside_a_bonus():
+    unknown = np.full((52, 3), np.nan, np.float32)
+    with pytest.raises(UserError, match="env.memory = True: 52 of 52 images .* do not say where they were taken"):
+        hand_made.environment(position=unknown, memory=True)
+    with pytest.raises(UserError, match="observations do not form a finite set"):
+        make_train(hand_made.config("sse_db", env=REMEMBERING))
+
+
+@pytest.mark.parametrize("method", ["her", pytest.param("infogoal", marks=pytest.mark.long)])
+def test_methods_train_with_a_memory(method):
+    config = hand_made.config(method, env=REMEMBERING, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2)
+    result = jax.jit(make_train(config, hand_made.environment_from_above(memory=True)))(jax.random.key(0))
+    assert all(np.isfinite(value).all() for value in result.metrics.values())
+
+
 def test_oracle_takes_shortest_paths_and_random_does_not(house):
     goals = house.goals.evaluated
     shortest, drawn = (

@@ -43,6 +43,23 @@ def test_goals_are_the_different_orientations(env, data):
     assert env.goals.num_goals == len(set(orientation.tolist())) < len(data.frames)  # There are aliases.
 
 
+def test_a_smaller_range_leaves_images_whose_joints_lie_within_it_and_the_moves_between_them(data):
+    config = ObjectManipulationConfig(num_goals=(2, 1, 2), joint_range=60.0)
+    cut = object_manipulation.turned_within(data, config)
+    np.testing.assert_allclose(np.unique(np.degrees(cut.joints)), [-60, 0, 60], atol=1e-3)
+    assert len(cut.frames) == 27 and len(cut.frame) == 3 * 2 * 2 * 9  # Of each joint two moves forth, two back.
+    turn = np.abs(wrapped(cut.joints[cut.next_frame] - cut.joints[cut.frame]))
+    np.testing.assert_allclose(turn.sum(1), np.pi / 3, atol=1e-5)
+    env = lay_out(cut, hand_made_frames.backgrounds(), config)
+    assert len(env.quaternion) == 27 and "joints within 60 degrees" in env.source
+    with pytest.raises(UserError, match="env.joint_range = 10.0: leaves no move: give more than 0 degrees"):
+        object_manipulation.turned_within(data, dataclasses.replace(config, joint_range=10.0))
+    with pytest.raises(UserError, match="env.joint_range = 60.0: env.dataset tells no joint angles"):
+        object_manipulation.turned_within(dataclasses.replace(data, joints=None), config)
+    with pytest.raises(UserError, match="env.joint_range = 0.0: give degrees, more than 0 and at most 180"):
+        presets.load("object_manipulation", "none", env=ObjectManipulationConfig(joint_range=0.0))
+
+
 def test_a_goal_is_seen_as_an_image_that_shows_it(env, data):
     """Goal images are frames of the dataset, held once, of the orientation that they stand for."""
     rows = np.asarray(env.goals.rows)

@@ -40,6 +40,17 @@ def smaller() -> object:
     )
 
 
+def test_houses_of_different_sizes_with_a_memory_have_one_shape():
+    envs = [hand_made.environment_from_above(memory=True), hand_made.environment_from_above(memory=True)]
+    kept = {name: getattr(envs[1], name)[:-4] for name in OF_AN_IMAGE}
+    envs[1] = envs[1].replace(**kept, distance=envs[1].distance[:, :-4])
+    padded = plan.with_one_shape(envs)
+    assert batches.shape_of(padded[0]) == batches.shape_of(padded[1]) != batches.shape_of(envs[1])
+
+
+OF_AN_IMAGE = ("next_node", "images", "in_view", "achieved_goals", "position", "cell")
+
+
 @pytest.fixture(scope="module")
 def both():
     """Two goal sets of different sizes, padded to one shape."""
