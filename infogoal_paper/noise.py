@@ -48,8 +48,10 @@ CHUNKS = 4
 """Of an equal number of updates, after each of which there is an evaluation."""
 HALF = 2
 """The cubes of the studies beside are trained for this share of their preset's updates, which take the most time."""
-BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ)
+BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ, noise_numbers.HELD_OUT_HRAC, noise_numbers.CALIBRATED)
 """These studies."""
+OF_SIZE = ("updates_per_epoch", "env.episode_length")
+"""Fields that a toy has of its own."""
 HURRY = 0.6
 """What a chunk or a run takes at best, as a share of what one took before: others that share the GPU may end."""
 GROUPS = ("train", "validation", "test")
@@ -214,7 +216,7 @@ def run(
     partial = path.with_suffix(".partial")
     settings = noise_numbers.settings_of(task, method)
     if runs[0].toy:
-        settings.pop("updates_per_epoch", None)
+        settings = {name: value for name, value in settings.items() if name not in OF_SIZE}
     for batch in batches_on(runs, path.parent, settings, HALF if task in BY_HALVES else 1, goal_images):
         training = batches.begin(batch)
         watch = Watch(task, method, training, deadline, rows, partial)
@@ -237,7 +239,9 @@ def main():
     parser.add_argument("--part", nargs="*", choices=PARTS, help="parts of the queue, in place of tasks and methods")
     parser.add_argument("--list", action="store_true", help="print the queue, what is missing of it, and stop")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="of each method and data set")
-    parser.add_argument("--goal-images", type=Path, metavar="FOLDER", help="further goal sets of Fetch, for part L")
+    parser.add_argument(
+        "--goal-images", type=Path, metavar="FOLDER", help="further goal sets of Fetch, for parts K and L"
+    )
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
     parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the rows of this folder into the numbers")

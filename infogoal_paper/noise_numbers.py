@@ -11,7 +11,7 @@ seed, epsilon and code; and the tables and the figure of docs/research/noise_at_
 
 HELD_OUT is the study of what carries the gain of InfoGoal with the head; a cell of `task` names its protocol too. Its
 methods have rows at several updates: tables show the last ones that all of them made. HELD_OUT_FETCH is the same on
-Fetch, under HRAC, at the end of the presets. READ_TASKS has other readings of the paper: of a method
+Fetch, under HRAC, at the end of the presets. READ has other readings of the paper: of a method
 `infogoal+her@listed` the part behind @ is one of `READINGS`.
 
 Two rules make noise equal. *The same for all*: every method at one epsilon. *Each at its own best*: every method at the
@@ -34,7 +34,7 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_jax.report.summary import LEAST_BETA
-from infogoal_paper import claims, trial_numbers, tuning
+from infogoal_paper import claims, paper, trial_numbers, trials, tuning
 from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
 from infogoal_paper.paper import METHODS as PAPER_METHODS
@@ -86,13 +86,33 @@ CARRYING = {
 """What is compared there."""
 HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetch_pick_and_place"))
 """The same on Fetch, where no test goal is achieved in training."""
+HELD_OUT_SHELF, HELD_OUT_HRAC = "embodied_qa+cql+held_out", "object_manipulation+hrac+held_out"
+"""The same on the shelf, which recorded flights show, and on the cube under HRAC."""
+HELD_OUT_BESIDE = (*HELD_OUT_FETCH, HELD_OUT_SHELF, HELD_OUT_HRAC)
 UNSEEN_FETCH = "fetch_reach+unseen"
 """FetchReach on goal sets that no choice has seen."""
+SEARCHING = "object_search+searching"
+"""Object search with a memory, in other lengths of an episode, and InfoBot with other betas."""
+CALIBRATED = "object_manipulation+calibrated"
+"""The cube on which the bare agent comes nearest to its success in the paper (`trials.calibrated`)."""
 FIRST_TRIALS = "object_search+small"
 """Object search with the small preset's floats, for as many epochs."""
 CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
 """What is run there, in order: methods that are near the best on the shipped goals."""
-BESIDE = {UNSEEN_FETCH: CONTENDERS, FIRST_TRIALS: ("infogoal", "her")}
+OF_REACH = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher")
+"""Methods whose floats are chosen again on FetchReach, in order."""
+SEARCHERS = ("none", "her", "infogoal", "infobot", "infogoal+her", "infobot+her")
+"""Methods that are given a memory."""
+BESIDE = {
+    UNSEEN_FETCH: (*CONTENDERS, *(f"{method}@clean" for method in OF_REACH)),
+    FIRST_TRIALS: ("infogoal", "her"),
+    SEARCHING: (
+        *(f"{method}@memory" for method in SEARCHERS),
+        *(f"{method}@steps_{steps}" for steps in (50, 300) for method in SEARCHERS[:4]),
+        *("infobot@beta_0.001", "infobot@beta_0.01"),
+    ),
+    CALIBRATED: SEARCHERS,
+}
 """The methods of studies that have few, in order."""
 READINGS: dict[str, dict[str, Any]] = {
     "desired": {"desired_goals": "all"},
@@ -105,11 +125,17 @@ READINGS: dict[str, dict[str, Any]] = {
     "updates_100": {"updates_per_epoch": 100},
     "floor": {"hyper.learner.beta_floor": 1e-3},
     "clean": {},
+    "memory": {"env.memory": True},
+    "steps_50": {"env.episode_length": 50},
+    "steps_300": {"env.episode_length": 300},
+    "beta_0.001": {"hyper.learner.beta": 1e-3},
+    "beta_0.01": {"hyper.learner.beta": 1e-2},
 }
 """Other readings of the paper, by what they change of the preset: all goals desired in training; similar goals by true
 distance, of known goals or of the listed ones, also one step apart; training on corrupted images; the authors'
-relabelling; 100 updates an epoch of as many steps. Two are none: does a least beta mend the seed that collapsed? And
-what have methods with the floats of `tuning.clean_choices`, trained for as long as the bare agent?"""
+relabelling; 100 updates an epoch of as many steps. The rest are none: does a least beta mend the seed that collapsed?
+What have methods with the floats of `tuning.clean_choices`, trained for as long as the bare agent? And what those of
+`SEARCHING`?"""
 RADII = {"fetch_reach": 0.25, "fetch_pick_and_place": 0.15, "object_manipulation": 0.369}
 """Distances within which goals are similar there: the preset's window times the length of a step, 5 cm or 15 degrees
 (in the unit of `goal_positions`)."""
@@ -118,15 +144,13 @@ OF_FETCH = (
     *(f"infogoal{added}@{reading}" for added in ("", "+her") for reading in ABOUT_GOALS),
     *("her@desired", "none@desired", "her@corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
 )
-OF_REACH = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher", "gcb+her", "cogoal")
-"""Methods whose floats are chosen again on FetchReach, in order."""
 READ = {
     "object_search+read": (
         *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
         *("infogoal+her@prefix", "infobot+her@prefix", "infogoal@floor"),
         *(f"{method}@clean" for method in METHODS),
     ),
-    "fetch_reach+read": (*OF_FETCH, *(f"{method}@clean" for method in OF_REACH)),
+    "fetch_reach+read": OF_FETCH,
     "fetch_pick_and_place+read": OF_FETCH,
     "object_manipulation+read": (
         *("infogoal@desired", "her@desired", "infogoal+her@desired", "none@desired", "infogoal+her@listed"),
@@ -136,9 +160,8 @@ READ = {
 """Which readings are run on each task, in order."""
 NO_BETA, SMALL = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}, {"learner_weight": 0.1}
 FLOATS = {
-    **{(task, "infogoal+all_goals+beta_0"): NO_BETA for task in (HELD_OUT, *HELD_OUT_FETCH)},
-    (HELD_OUT, "cogoal+all_goals"): SMALL,
-    (HELD_OUT, "vae+all_goals"): SMALL,
+    **{(task, "infogoal+all_goals+beta_0"): NO_BETA for task in (HELD_OUT, *HELD_OUT_BESIDE)},
+    **{(task, f"{learner}+all_goals"): SMALL for task in (HELD_OUT, HELD_OUT_HRAC) for learner in ("cogoal", "vae")},
 }
 """Floats that differ from the preset. Both small weights reach more validation goals than 1 on the cube of seed 7."""
 DATA_SETS = (
@@ -147,7 +170,8 @@ DATA_SETS = (
     | dict.fromkeys(HELD_OUT_FETCH, (0,))
     | {UNSEEN_FETCH: (7, 8, 9)}
     | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
-    | {FIRST_TRIALS: TASKS["object_search"]}
+    | dict.fromkeys((FIRST_TRIALS, SEARCHING), TASKS["object_search"])
+    | {HELD_OUT_SHELF: (7, 8, 9), HELD_OUT_HRAC: (8, 9, 10), CALIBRATED: (7,)}
 )
 """All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
 
@@ -157,10 +181,8 @@ def methods_of(task: str) -> dict[str, str]:
     if task in READ:
         return {method: in_words(method) for method in READ[task]}
     if task in BESIDE:
-        return {method: METHODS[method] for method in BESIDE[task]}
-    if task in HELD_OUT_FETCH:
-        return CARRYING
-    return CARRYING if task == HELD_OUT else METHODS
+        return {method: in_words(method) for method in BESIDE[task]}
+    return CARRYING if task in (HELD_OUT, *HELD_OUT_BESIDE) else METHODS
 
 
 def floats_of(task: str, method: str) -> dict[str, float]:
@@ -187,6 +209,8 @@ def settings_of(task: str, method: str) -> dict[str, Any]:
     settings = dict(READINGS.get(method.partition("@")[2], {}))
     if task == FIRST_TRIALS:
         settings = {"num_epochs": presets.load("object_search", method, small=True).num_epochs}
+    if task == CALIBRATED:
+        settings = dict(trials.calibrated())
     if method.endswith("@clean"):
         settings = {"num_epochs": presets.load(task.partition("+")[0], "none").num_epochs}
     if settings.get("learner.positives"):
@@ -205,6 +229,11 @@ READING_WORDS = {
     "updates_100": "100 updates an epoch",
     "floor": "beta of at least 0.001",
     "clean": "floats chosen again",
+    "memory": "with a memory",
+    "steps_50": "episodes of 50 steps",
+    "steps_300": "episodes of 300 steps",
+    "beta_0.001": "beta 0.001",
+    "beta_0.01": "beta 0.01",
 }
 
 
@@ -249,9 +278,13 @@ PARTS = {
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
     "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
-    "L": Part(4, all_of(UNSEEN_FETCH)),
+    "L": Part(4, tuple(run for run in all_of(UNSEEN_FETCH) if not run[1].endswith("@clean"))),
     "M": Part(2, all_of(FIRST_TRIALS)),
-    "K": Part(6, tuple(run for run in all_of(FETCH_READ[0]) if run[1].endswith("@clean"))),
+    "K": Part(6, tuple(run for run in all_of(UNSEEN_FETCH) if run[1].endswith("@clean"))),
+    "N": Part(8, all_of(SEARCHING)),
+    "O": Part(6, all_of(CALIBRATED)),
+    "P": Part(6, all_of(HELD_OUT_SHELF)),
+    "Q": Part(6, tuple((HELD_OUT_HRAC, method, (8,)) for method in CARRYING)),
     **{
         name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
         for name, cube in {"I": 8, "J": 9}.items()
@@ -272,7 +305,13 @@ TITLES = {
     HELD_OUT_FETCH[0]: "FetchReach, held out",
     HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
-TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ} | {FIRST_TRIALS: "object search, small"}
+TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ} | {
+    FIRST_TRIALS: "object search, small",
+    HELD_OUT_SHELF: "questions, held out",
+    HELD_OUT_HRAC: "cube under HRAC, held out",
+    SEARCHING: "object search",
+    CALIBRATED: "calibrated cube",
+}
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
@@ -533,7 +572,12 @@ def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning
 
 def again(task: str, method: str) -> tuple[str, str]:
     """The task and method by whose names the rows of a clean choice go."""
-    return f"{task}+read", f"{method}@clean"
+    return UNSEEN_FETCH if task == "fetch_reach" else f"{task}+read", f"{method}@clean"
+
+
+def beside_choices(task: str) -> str:
+    """The task by whose name the rows of presets go that clean choices are compared with."""
+    return UNSEEN_FETCH if task == "fetch_reach" else task
 
 
 def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
@@ -547,7 +591,7 @@ def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search])
         if max(validation) < FLOOR:
             low[METHODS[method]] = max(validation)
             continue
-        runs = [run for run in ((task, method), again(task, method)) if numbers.has(*run)]
+        runs = [run for run in ((beside_choices(task), method), again(task, method)) if numbers.has(*run)]
         cells = [
             "→".join(f"{np.mean(found):.2f}" for run in runs if (found := reached_at_best(numbers, *run, kind)))
             for kind in kinds_of(task)
@@ -580,7 +624,7 @@ def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Se
         for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
             row.append(signed(paired_difference(*(take(found[method])["success"][-1] for method in pair))))
         for rule in (str(SAME), "best"):
-            row.append(signed(difference(numbers, task, pair, "test", rule)))
+            row.append(signed(difference(numbers, beside_choices(task), pair, "test", rule)))
             row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), "test", rule)))
         rows.append(row)
     goals = ("validation", f"test, ε {SAME}", "test, own best")
@@ -588,17 +632,55 @@ def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Se
     return markdown_lines(["difference", *heads], rows)
 
 
-def carries_on_fetch(numbers: Numbers) -> str:
-    """A row for each method with and without the head on Fetch: success greedy, at `SAME` and at its own best."""
-    columns = [(task, kind) for task in HELD_OUT_FETCH for kind in ("test", "corrupted_test")]
+def carries_beside(numbers: Numbers) -> str:
+    """A row for each method with and without the head on tasks of `HELD_OUT_BESIDE` that were run: success greedy, at
+    `SAME` and at its own best."""
+    tasks = [task for task in HELD_OUT_BESIDE if any(numbers.has(task, method) for method in CARRYING)]
+    columns = [(task, kind) for task in tasks for kind in kinds_of(task.partition("+")[0])]
     rows = []
     for method, title in CARRYING.items():
-        ran = [numbers.has(task, method) for task in HELD_OUT_FETCH]
+        ran = [numbers.has(task, method) for task in tasks]
         if any(ran):
             rows.append([title, *(three_of(numbers, task, kind, method) for task, kind in columns)])
     return (
         markdown_lines(["method", *(goals_of(task, kind) for task, kind in columns)], rows) if rows else "Not run yet."
     )
+
+
+def searching_table(numbers: Numbers) -> str:
+    """A row for each method of `SEARCHING`: success on test goals greedy, at `SAME` and at its own best, of its preset
+    and of what was changed; and their difference, seeds paired, greedy and at `SAME`."""
+    rows, plain = [], "object_search"
+    for method, words in methods_of(SEARCHING).items():
+        preset = method.partition("@")[0]
+        if numbers.has(SEARCHING, method) and numbers.has(plain, preset):
+            cells = [three_of(numbers, plain, "test", preset), three_of(numbers, SEARCHING, "test", method)]
+            for epsilon in (0.0, SAME):
+                found = (numbers.success(*run, epsilon) for run in ((SEARCHING, method), (plain, preset)))
+                cells.append(signed(paired_by_set(*found)))
+            rows.append([words, *cells])
+    return markdown_lines(["method", "preset", "changed", "difference, greedy", f"difference, ε {SAME}"], rows)
+
+
+def calibrated_table(numbers: Numbers) -> str:
+    """A row for each method on the calibrated cube: success greedy, at `SAME` and at its own best, beside the paper's;
+    below, which cube it is."""
+    rows = [
+        [
+            title,
+            *(three_of(numbers, CALIBRATED, kind, method) for kind in ("test", "corrupted_test")),
+            *(
+                paper.reported("object_manipulation", f"{kind}_goal", method.partition("+")[0])
+                for kind in ("test", "corrupted_test")
+            ),
+        ]
+        for method, title in methods_of(CALIBRATED).items()
+        if numbers.has(CALIBRATED, method)
+    ]
+    world = trials.calibrated()
+    said = f"Joints within {world['env.joint_range']:g} degrees, episodes of {world['env.episode_length']} steps."
+    lines = markdown_lines(["method", "test", "corrupted test", "paper, test", "paper, corrupted test"], rows)
+    return f"{lines}\n\n{said}"
 
 
 def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
@@ -733,20 +815,24 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     ran, beside = {row["task"] for row in rows}, {"small": small_table(Numbers(first_trials))} if first_trials else {}
     if ran & READ.keys():
         beside |= {"readings": readings_table(numbers)}
-    if ran & set(HELD_OUT_FETCH):
-        beside |= {"carries_fetch": carries_on_fetch(numbers)}
+    if ran & set(HELD_OUT_BESIDE):
+        beside |= {"carries_beside": carries_beside(numbers)}
+    if SEARCHING in ran:
+        beside |= {"searching": searching_table(numbers)}
+    if CALIBRATED in ran:
+        beside |= {"calibrated": calibrated_table(numbers)}
     if UNSEEN_FETCH in ran:
         beside |= {"unseen": difference_table(numbers, [UNSEEN_FETCH], UNSEEN_PAIRS)}
     searches = tuning.load(tuning.NUMBERS)
     for task, ending in (("object_search", ""), ("fetch_reach", "_reach")):
-        if finals_of(task, searches):
+        if any(numbers.has(*again(task, method)) for method in finals_of(task, searches)):
             shown = numbers, task, searches
             beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),
         "carries": carries_table(numbers),
-        "carries_differences": difference_table(numbers, [HELD_OUT], CARRYING_PAIRS),
+        "carries_differences": difference_table(numbers, [HELD_OUT, HELD_OUT_SHELF, HELD_OUT_HRAC], CARRYING_PAIRS),
         "success": success_table(numbers),
         "collapse": collapse_line(numbers),
         "machine": f"Measured on {machines}.",

@@ -129,6 +129,12 @@ def confirmation(dataset: int) -> dict[str, Any]:
     return CUBE | dict.fromkeys(DATASETS[CUBE_TASK], dataset) | {"num_epochs": 120, "epochs_per_evaluation": 10}
 
 
+WORLDS = {
+    f"calibration_{degrees}_degrees_{steps}_steps": {"env.joint_range": float(degrees), "env.episode_length": steps}
+    for degrees in (45, 60, 90, 180)
+    for steps in (100, 300, 1000)
+}
+"""Cubes from easy to hard: ranges of the joints, and lengths of an episode."""
 TRIALS = {
     "cube_her": Trial(CUBE_TASK, "her", CUBE, seeds=4),
     **{
@@ -292,6 +298,11 @@ TRIALS = {
         PRESET | {"no intrinsic reward": {"intrinsic_weight": 0.0}},
         seeds=5,
     ),
+    # On which cube has the bare agent the paper's success, and what have the others there (noise.py, part O)?
+    **{
+        name: Trial(CUBE_TASK, "none", CUBE | NORMALISED | {"num_epochs": 30} | settings)
+        for name, settings in WORLDS.items()
+    },
     # With HER InfoGoal was the last of the learners on Push. Was its code too coarse there, as on PickAndPlace?
     **{
         f"push_{short}": Trial(PUSH, method, FETCH, THRESHOLDS)

@@ -30,6 +30,7 @@ import numpy as np
 from infogoal_jax import presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import splits
+from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.statistics import describe_machine
@@ -37,7 +38,7 @@ from infogoal_jax.runner.sweep import Callback, Sweep, batched_hyper, side_by_si
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.program import Train
-from infogoal_paper import all_goals_queue, trial_numbers, trial_queue
+from infogoal_paper import all_goals_queue, paper, trial_numbers, trial_queue
 from infogoal_paper.trial_numbers import Row, code_errors
 from infogoal_paper.trial_queue import Trial
 from infogoal_paper.tuning import tuning_house
@@ -50,8 +51,15 @@ TABLES = {
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/research/trials.md: tasks, and the unit of the code's error with its decimals."""
-ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
-"""Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+NAMED_TABLES = {
+    "house_goals": None,
+    "cube_dqn": ("degrees", 1),
+    "cube_hrac": ("degrees", 1),
+    "shelf_goals": None,
+    "calibration": None,
+}
+"""Tables of docs/research/all_goals.md, and that of `calibrated`: how the names of their trials begin, and the unit of
+the code's error."""
 WITHOUT_TABLE = "cube_carries"
 """Trials whose numbers are kept alone: noise.py measured the same at equal noise, on more cubes."""
 OF_NORMALISED = ("cube_dqn", "shelf_goals")
@@ -99,7 +107,7 @@ COMPARISONS = {
     "house_comparisons": first_occurrence("house"),
 }
 """Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
-NAMES = (*TABLES, *ALL_GOALS_TABLES, *COMPARISONS, "probe")
+NAMES = (*TABLES, *NAMED_TABLES, *COMPARISONS, "probe")
 """Of all tables."""
 
 KINDS = (
@@ -230,8 +238,8 @@ def tables(rows: list[Row]) -> dict[str, str]:
     lanes are compared stands in the table of differences alone."""
     done = {row["trial"] for row in rows}
     compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
-    all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
-    others = [trial for trial in QUEUE if trial not in all_goals and not trial.startswith(WITHOUT_TABLE)]
+    named = [trial for trial in QUEUE if trial.startswith(tuple(NAMED_TABLES))]
+    others = [trial for trial in QUEUE if trial not in named and not trial.startswith(WITHOUT_TABLE)]
     grouped = {
         name: (
             [
@@ -246,12 +254,12 @@ def tables(rows: list[Row]) -> dict[str, str]:
         name: (
             [
                 trial
-                for trial in all_goals
+                for trial in named
                 if trial.startswith(name) and (name not in OF_NORMALISED or trial.endswith("_norm"))
             ],
             error,
         )
-        for name, error in ALL_GOALS_TABLES.items()
+        for name, error in NAMED_TABLES.items()
     }
     found = {}
     for name, (trials, error) in grouped.items():
@@ -268,6 +276,21 @@ def tables(rows: list[Row]) -> dict[str, str]:
         if ran:
             found[name] = trial_numbers.differences(rows, ran)
     return found
+
+
+def calibrated() -> dict[str, Any]:
+    """The settings of the cube on which the bare agent comes nearest to its success in the paper, on test poses of a
+    cube that no result is shown on. Raises `UserError` where that was not measured."""
+    rows = trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
+    reported = float(paper.reported(trial_queue.CUBE_TASK, "test_goal", "none"))
+    away = {}
+    for name in trial_queue.WORLDS:
+        for _, shown, _ in trial_numbers.last_of_lanes([row for row in rows if row["trial"] == name]):
+            away[name] = abs(trial_numbers.seed_means(shown, "test_goal/success_rate").mean() - reported)
+    require(
+        bool(away), "tasks", "the calibrated cube", "no calibration is kept; run its trials first, and --merge them"
+    )
+    return trial_queue.WORLDS[min(away, key=away.__getitem__)]
 
 
 def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from operator import attrgetter
 from types import SimpleNamespace
 
 import hand_made
@@ -9,8 +10,9 @@ import pytest
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.stopping import stop_on_signal
-from infogoal_paper import batches, noise, noise_numbers, trial_numbers, tuning
+from infogoal_paper import batches, noise, noise_numbers, trial_numbers, trial_queue, trials, tuning
 from infogoal_paper.noise_numbers import EPSILONS, Numbers
 
 
@@ -262,3 +264,46 @@ def test_the_small_preset_is_compared_seed_by_seed_with_its_own_floats_and_epoch
     assert "validation goals, house 100 | test goals, house 7" in table
     assert "| InfoGoal - HER | **+0.30±0.00** | **+0.30±0.00** |" in table
     assert "test goals" not in noise_numbers.small_table(Numbers([each for each in rows if each["data_set"] != "7"]))
+
+
+def test_what_a_memory_gains_is_paired_with_the_preset_and_what_is_changed_is_a_field():
+    task, words = noise_numbers.SEARCHING, "| HER, with a memory | 0.20/0.20/0.20 | 0.60/0.60/0.60 |"
+    rows = [
+        row(method, epsilon, str(value + seed / 10), task=each, seed=str(seed), data_set="7")
+        for each, method, value in (("object_search", "her", 0.1), (task, "her@memory", 0.5))
+        for epsilon in EPSILONS
+        for seed in range(3)
+    ]
+    assert f"{words} **+0.40±0.00** | **+0.40±0.00** |" in noise_numbers.searching_table(Numbers(rows))
+    settings = {method: noise_numbers.settings_of(task, method) for method in noise_numbers.BESIDE[task]}
+    for method, values in settings.items():
+        ((field, value),) = values.items()
+        preset = noise.run_of(task, method, 7, toy=False).preset()
+        before, after = (attrgetter(field)(config) for config in (preset, with_values(preset, values)))
+        assert after == value != before
+
+
+def test_the_calibrated_cube_is_where_the_bare_agent_comes_nearest_to_its_success_in_the_paper(tmp_path, monkeypatch):
+    monkeypatch.setattr(trials, "NUMBERS", tmp_path / "trials.csv.gz")
+    with pytest.raises(UserError, match="no calibration is kept"):
+        noise_numbers.settings_of(noise_numbers.CALIBRATED, "none")
+    reached = dict(zip(trial_queue.WORLDS, (0.9, 0.37, 0.7), strict=False))
+    kept = [
+        {"trial": name, "lane": "preset", "seed": "0", "updates": str(updates), "test_goal/success_rate": str(value)}
+        for name, success in reached.items()
+        for updates, value in ((1000, 0.4), (2000, success), (3000, success), (4000, success))
+    ]
+    trial_numbers.write(kept, trials.NUMBERS)
+    chosen = noise_numbers.settings_of(noise_numbers.CALIBRATED, "none")
+    assert chosen == {"env.joint_range": 45.0, "env.episode_length": 300}
+    rows = [row("none", epsilon, "0.3", task=noise_numbers.CALIBRATED, corrupted_test="0.2") for epsilon in EPSILONS]
+    table = noise_numbers.calibrated_table(Numbers(rows))
+    assert "| bare agent | 0.30/0.30/0.30 | 0.20/0.20/0.20 | 0.40 |" in table
+    assert "Joints within 45 degrees, episodes of 300 steps." in table
+
+
+def test_clean_choices_of_fetch_stand_beside_presets_on_goal_sets_that_no_choice_has_seen():
+    assert {number for _, _, sets in noise_numbers.PARTS["K"].runs for number in sets} == {7, 8, 9}
+    for method in noise_numbers.OF_REACH:
+        task, chosen = noise_numbers.again("fetch_reach", method)
+        assert task == noise_numbers.beside_choices("fetch_reach") and chosen in noise_numbers.methods_of(task)
