@@ -142,7 +142,7 @@ def relabelled(
 
 
 def success_on_the_line(
-    agent: Agent, hyper, share: float, learning_rate: float = 3e-3, costs: bool = False
+    agent: Agent, hyper, share: float, learning_rate: float = 3e-3, costs: bool = False, updates: int = UPDATES
 ) -> tuple[float, float]:
     """How often the greedy policy gets to its goal within an episode, before and after it learned from random walks."""
     keys = jax.random.split(jax.random.key(0), 5)
@@ -173,7 +173,7 @@ def success_on_the_line(
     @jax.jit
     def run(params):
         carry = (params, params, optimizer.init(params))
-        (learned, *_), _ = jax.lax.scan(update, carry, jax.random.split(keys[2], UPDATES))
+        (learned, *_), _ = jax.lax.scan(update, carry, jax.random.split(keys[2], updates))
         return jax.lax.map(success, jax.tree.map(lambda *each: jnp.stack(each), params, learned))
 
     before, after = run(params).tolist()

@@ -241,8 +241,9 @@ def test_images_are_not_seen_as_they_are(field, changes):
 @pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("hiql", "offline_crl")])
 def test_learns_where_to_go_on_a_line(name):
-    """From random walks, for goals that are reached later and for any."""
+    """From random walks, for goals that are reached later and for any. By 400 updates two of six seeds of QRL are below
+    0.9; by 800 all are at 1."""
     agent, entry = agent_of(name, 1, **({"hidden": (32, 32)} | ({"size": 32} if name == "qrl" else {})))
     hyper = entry.hyper(alpha=3.0) if name == "gcivl" else entry.hyper(alpha=0.01)
-    before, after = vector_agents.success_on_the_line(agent, hyper, 0.7, costs=True)
+    before, after = vector_agents.success_on_the_line(agent, hyper, 0.7, costs=True, updates=800)
     assert after > 0.95 > before
