@@ -83,9 +83,9 @@ def path(value: Any, field: str, remedy: str = "give a path") -> Any:
     return value
 
 
-def seed(value: Any, field: str = "seed") -> int:
+def seed(value: Any) -> int:
     """A seed from 0 to below 2^32."""
-    return whole(value, field, 0, MOST_SEEDS - 1, "give a whole number from 0 to below 2^32")
+    return whole(value, "seed", 0, MOST_SEEDS - 1, "give a whole number from 0 to below 2^32")
 
 
 def function(value: Any, field: str, arguments: int, remedy: str) -> Callable:
@@ -157,12 +157,12 @@ def has_shape(found: tuple[int, ...], asked: tuple[int | str | None, ...]) -> bo
     )
 
 
-def key(value: Any, field: str = "key") -> jax.Array:
+def key(value: Any) -> jax.Array:
     """One key of `jax.random`, typed or raw."""
     one = isinstance(value, jax.Array) and (
         value.shape == () if is_key(value) else value.dtype == jnp.uint32 and value.ndim == 1
     )
-    require(one, field, value, "give one key, such as jax.random.key(0); for several see jax.vmap")
+    require(one, "key", value, "give one key, such as jax.random.key(0); for several see jax.vmap")
     return value
 
 

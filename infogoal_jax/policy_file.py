@@ -137,8 +137,8 @@ def check(about, program):
     def whole(value, most):
         return type(value) is int and 0 <= value <= most
 
-    def wholes(values, most=MOST):
-        return type(values) is list and all(whole(value, most) for value in values)
+    def wholes(values):
+        return type(values) is list and all(whole(value, MOST) for value in values)
 
     wants(type(about) is dict and type(program) is dict, "about and program should be objects")
     version = about.get("format_version")

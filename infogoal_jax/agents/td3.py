@@ -178,12 +178,10 @@ def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: j
     return jnp.where(jax.random.uniform(choose_key, (*action.shape[:-1], 1), jnp.float32) < random_share, random, noisy)
 
 
-def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float = 2.5) -> jax.Array:
-    """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at `largest`
+def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array) -> jax.Array:
+    """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at 2.5
     standard deviations."""
-    return jnp.clip(
-        action + noise * jnp.clip(jax.random.normal(key, action.shape, jnp.float32), -largest, largest), -1.0, 1.0
-    )
+    return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape, jnp.float32), -2.5, 2.5), -1.0, 1.0)
 
 
 def next_value(

@@ -65,7 +65,7 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
     require(count >= 1, "count", count, "give at least 1")
     if not str(path):
         return _read_crops(SHIPPED_CROPS, count)
-    folder = cifar10_cache() if str(path) == "cifar10" else expanded(path)
+    folder = user_cache() if str(path) == "cifar10" else expanded(path)
     if str(path) == "cifar10":
         require(
             (folder / CIFAR10_FOLDER).exists(),
@@ -183,11 +183,6 @@ def _read_batch(file: Path) -> np.ndarray:
     return records[:, 1:].reshape(-1, 3, CROP_SIZE, CROP_SIZE).transpose(0, 2, 3, 1)
 
 
-def cifar10_cache() -> Path:
-    """Where CIFAR-10 is downloaded to by default."""
-    return user_cache()
-
-
 class DownloadBar:
     """What pooch asks of a progress bar (`total`, `update`, `reset`, `close`), drawn by rich."""
 
@@ -225,7 +220,7 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
     Raises UserError if the folder cannot be written to, the download breaks off, or the archive has another checksum.
     """
     require(url.startswith(("http://", "https://")), "url", url, "must begin with http:// or https://")
-    folder = expanded(path) if str(path) else cifar10_cache()
+    folder = expanded(path) if str(path) else user_cache()
     batches = folder / CIFAR10_FOLDER
     if os.path.exists(batches):
         load(batches, 1)

@@ -4,7 +4,7 @@
 from functools import partial
 from typing import Any
 
-from infogoal_jax.envs import embodied_qa, joint_targets, object_manipulation, object_search, plane
+from infogoal_jax.envs import embodied_qa, goal_task, joint_targets, object_manipulation, object_search, plane
 from infogoal_jax.envs.adapters import from_brax as from_brax
 from infogoal_jax.envs.adapters import from_jaxgcrl as from_jaxgcrl
 from infogoal_jax.envs.adapters import from_playground as from_playground
@@ -55,8 +55,8 @@ registry = Registry(
             object_manipulation.ObjectManipulationConfig, object_manipulation.make, traits=object_manipulation.traits
         ),
         "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make, traits=embodied_qa.traits),
-        "point_maze": Entry(plane.PlaneConfig, plane.make_maze, traits=plane.traits),
-        "reacher": Entry(plane.PlaneConfig, plane.make_reacher, traits=plane.traits),
+        "point_maze": Entry(plane.PlaneConfig, plane.make_maze, traits=goal_task.traits),
+        "reacher": Entry(plane.PlaneConfig, plane.make_reacher, traits=goal_task.traits),
         **{name: Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits) for name in FETCH_TASKS},
         # The same tasks by another name, under which the goals that training and presets mean are positions.
         **{

@@ -9,7 +9,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import Positive, Size
 from infogoal_jax.goals import GoalBox
@@ -32,6 +32,12 @@ class GoalTaskConfig:
     """Whether reaching the goal ends the episode."""
     dataset: str = ""
     """File of recorded episodes to learn from offline (docs/reference/datasets.md); empty: the agent acts."""
+
+
+def traits(config: GoalTaskConfig) -> Traits:
+    """What such a task, whose actions are vectors, can be combined with."""
+    recorded = bool(config.dataset)
+    return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
 
 @flax.struct.dataclass

@@ -9,8 +9,7 @@ from typing import Any
 
 from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
-from infogoal_jax.envs.environment import Traits
-from infogoal_jax.envs.goal_task import GoalTaskConfig
+from infogoal_jax.envs.goal_task import GoalTaskConfig, traits
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import nearest, require
 from infogoal_jax.registry import Entry
@@ -150,12 +149,6 @@ def make_gymnasium(config: GymnasiumConfig) -> AdaptedTask:
 def with_recordings(make: Callable[[LibraryConfig], AdaptedTask], config: LibraryConfig) -> AdaptedTask:
     """The task, with what it learns from offline where a file is named."""
     return recorded_in(make(config), config.dataset)
-
-
-def traits(config: LibraryConfig) -> Traits:
-    """What such a task can be combined with."""
-    recorded = bool(config.dataset)
-    return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
 
 LIBRARIES = {

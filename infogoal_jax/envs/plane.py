@@ -8,7 +8,6 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import Episode, GoalTask, GoalTaskConfig
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.field_types import Size, Within
@@ -39,12 +38,6 @@ class PlaneConfig(GoalTaskConfig):
     """Distance below which a goal is reached; rooms, and the parts of the arm, are 1 long."""
     held_out: bool = True
     """Whether parts of the plane are never desired in training; test goals lie there."""
-
-
-def traits(config: PlaneConfig) -> Traits:
-    """What a task in the plane can be combined with follows from these."""
-    recorded = bool(config.dataset)
-    return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
 
 def use_of_place(goal: jax.Array) -> jax.Array:

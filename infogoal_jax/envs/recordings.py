@@ -194,20 +194,3 @@ def rows_of(
         truncated=laid_out(before_last, within),
         decided=valid,
     )
-
-
-def episodes_of(rows: Trajectories) -> Episodes:
-    """The episodes of rows that a task with continuous goals was collected in, to be saved: those of at least one
-    step."""
-    rows = jax.device_get(rows)
-    follows = rows.valid  # [R, T], whether an observation is followed by the next of its episode.
-    led_to = np.pad(follows, ((0, 0), (1, 0)))
-    goes_on = np.pad(follows, ((0, 0), (0, 1)))
-    kept = led_to | goes_on
-    action = np.pad(rows.action, ((0, 0), (0, 1), (0, 0)))
-    # The last observation of an episode has the goal of the transition that led to it.
-    goal = np.where(
-        goes_on[..., None], np.pad(rows.goal, ((0, 0), (0, 1), (0, 0))), np.pad(rows.goal, ((0, 0), (1, 0), (0, 0)))
-    )
-    require(bool(kept.any()), "rows", "no transitions", "give rows of at least one step")
-    return Episodes(rows.observation[kept], action[kept], ~goes_on[kept], rows.record[kept], goal[kept])

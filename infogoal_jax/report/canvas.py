@@ -77,11 +77,11 @@ def figure_style(own: str | Path = "") -> Iterator[None]:
         raise
 
 
-def check_format(path: Path, field: str = "out") -> None:
+def check_format(path: Path) -> None:
     """Raise `UserError` unless the file's ending is one that figures can be written in."""
     endings = [f".{name}" for name in FORMATS]
-    require(path.suffix in endings, field, str(path), f"give a file that ends in {', '.join(endings)}")
-    disk.check_out(path, field)
+    require(path.suffix in endings, "out", str(path), f"give a file that ends in {', '.join(endings)}")
+    disk.check_out(path)
 
 
 def room_colour(region: int) -> str:

@@ -13,12 +13,12 @@ import jax
 import numpy as np
 
 import infogoal_jax
+from infogoal_jax import checks, hyperparameters
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require, typed
 from infogoal_jax.imports import checksums
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
-from infogoal_jax.runner.arguments import check_run
 from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
@@ -26,6 +26,7 @@ from infogoal_jax.runs.configuration import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped, StopRequest, stop_on_signal
+from infogoal_jax.train.contracts import check_is_environment
 from infogoal_jax.train.program import Train
 
 
@@ -118,6 +119,24 @@ def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
         "give seeds from 0 to below 2^32 (--first-seed)",
     )
     return seeds
+
+
+def check_run(config: Any, folder: Any, resume: Any, listeners: Any, env: Any, phase: Any, left: Any) -> None:
+    """Raise `UserError` for arguments of `run` of other kinds than it declares, and for hyperparameters that are not
+    one number each: seeds of a run share them."""
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
+    for name, value, _ in hyperparameters.floats(config.hyper):
+        several = isinstance(value, np.ndarray | jax.Array)
+        require(not several, f"hyper.{name}", value, "give one number; for several see jax.vmap(train)")
+    checks.path(folder, "folder", "give the folder of the run")
+    checks.flag(resume, "resume")
+    require(isinstance(listeners, tuple | list), "listeners", listeners, "give a tuple of functions of a Progress")
+    for place, listener in enumerate(listeners):
+        checks.function(listener, f"listeners[{place}]", 1, "give a function of a Progress")
+    if env is not None:
+        check_is_environment(env)
+    checks.function(phase, "phase", 2, "give a function of a name and a number of epochs")
+    checks.function(left, "left", 0, "give a function that returns seconds")
 
 
 def run(

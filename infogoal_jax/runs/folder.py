@@ -53,8 +53,8 @@ class BeingWrittenError(UserError):
     """Another process holds the lock."""
 
 
-def check_new(folder: Path, names: Sequence[str], flag: str = "out") -> None:
-    """Raise `UserError`, naming the flag, if the folder holds any of these, or cannot be looked into."""
+def check_new(folder: Path, names: Sequence[str]) -> None:
+    """Raise `UserError` if the folder holds any of these, or cannot be looked into."""
     try:
         there = {path.name for path in folder.iterdir()} & {*names}
     except FileNotFoundError:
@@ -64,7 +64,7 @@ def check_new(folder: Path, names: Sequence[str], flag: str = "out") -> None:
     if there:
         on_with_it = f", or go on with the run by --resume {typed(folder)}"
         raise UserError(
-            f"{flag} = {str(folder)!r}: holds a run already, or other files of its names ({', '.join(sorted(there))}); "
+            f"out = {str(folder)!r}: holds a run already, or other files of its names ({', '.join(sorted(there))}); "
             f"give another folder{on_with_it if configuration.NAME in there else ''}"
         )
 

@@ -12,6 +12,10 @@ CUBE_EDGE = 0.057
 STICKER_SHARE = 0.84  # side of a sticker, of a third of the edge
 
 
+CORNERS = 20
+"""Of a round outline."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Part:
     """A convex solid that moves with one link of the arm, where it is at zero joints: `vertices` [V, 3]; each of the F
@@ -69,8 +73,8 @@ def prism(
     return Part(link, vertices, faces, normals, np.array([colour] * number + [cap or colour] * 2, float))
 
 
-def ring(axis: int, at: tuple[float, float, float], half: float | tuple[float, float], corners: int = 20) -> np.ndarray:
-    """Outline [corners, 3] across an axis (0 x, 1 y, 2 z): a round one of radius `half`, or a rectangle of these half
+def ring(axis: int, at: tuple[float, float, float], half: float | tuple[float, float]) -> np.ndarray:
+    """Outline [N, 3] across an axis (0 x, 1 y, 2 z): a round one of radius `half`, or a rectangle of these half
     sides with cut corners."""
     if isinstance(half, tuple):
         cut = 0.7
@@ -78,7 +82,7 @@ def ring(axis: int, at: tuple[float, float, float], half: float | tuple[float, f
             np.array([(1, cut), (cut, 1), (-cut, 1), (-1, cut), (-1, -cut), (-cut, -1), (cut, -1), (1, -cut)]) * half
         )
     else:
-        angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
+        angle = 2 * np.pi * (np.arange(CORNERS) + 0.5) / CORNERS
         outline = half * np.stack([np.cos(angle), np.sin(angle)], -1)
     return np.array(at) + np.insert(outline, axis, 0, axis=1)
 

@@ -139,8 +139,8 @@ def test_cifar10_is_read_in_its_own_format(tmp_path, above):
 def test_cifar10_in_the_cache_has_a_name(tmp_path):
     with pytest.raises(UserError, match="backgrounds = 'cifar10'.*infogoal data download cifar10"):
         backgrounds.load("cifar10")
-    write_cifar10(backgrounds.cifar10_cache() / backgrounds.CIFAR10_FOLDER)
-    assert tmp_path in backgrounds.cifar10_cache().parents
+    write_cifar10(backgrounds.user_cache() / backgrounds.CIFAR10_FOLDER)
+    assert tmp_path in backgrounds.user_cache().parents
     assert len(backgrounds.load("cifar10").test) == 3
 
 

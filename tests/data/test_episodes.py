@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, envs
-from infogoal_jax.bridges.minari import episodes_of as episodes_of_minari
+from infogoal_jax.bridges.minari import episodes_of
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
-from infogoal_jax.envs.recordings import episodes_of, from_recordings, with_recordings
-from infogoal_jax.replay import steps_left
+from infogoal_jax.envs.recordings import from_recordings, with_recordings
+from infogoal_jax.replay import Trajectories, steps_left
 from infogoal_jax.train.rollout import collect
 
 LENGTHS = (3, 1, 5)
@@ -224,7 +224,7 @@ def of_minari(make_observations, actions=None) -> Episodes:
         )
         for steps in (2, 4)
     ]
-    return episodes_of_minari(SimpleNamespace(iterate_episodes=lambda: iter(recorded)))
+    return episodes_of(SimpleNamespace(iterate_episodes=lambda: iter(recorded)))
 
 
 def numbers(steps: int, *shape: int) -> np.ndarray:
@@ -335,6 +335,22 @@ def test_recordings_of_another_task_are_refused(changes, said):
     assert said in str(refused.value)
 
 
+def recorded_in(rows: Trajectories) -> Episodes:
+    """The episodes of rows that a task with continuous goals was collected in, to be saved: those of at least one
+    step."""
+    rows = jax.device_get(rows)
+    follows = rows.valid  # [R, T], whether an observation is followed by the next of its episode.
+    led_to = np.pad(follows, ((0, 0), (1, 0)))
+    goes_on = np.pad(follows, ((0, 0), (0, 1)))
+    kept = led_to | goes_on
+    action = np.pad(rows.action, ((0, 0), (0, 1), (0, 0)))
+    # The last observation of an episode has the goal of the transition that led to it.
+    goal = np.where(
+        goes_on[..., None], np.pad(rows.goal, ((0, 0), (0, 1), (0, 0))), np.pad(rows.goal, ((0, 0), (1, 0), (0, 0)))
+    )
+    return Episodes(rows.observation[kept], action[kept], ~goes_on[kept], rows.record[kept], goal[kept])
+
+
 def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
     """To the same transitions, by the command line too."""
 
@@ -343,7 +359,7 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
 
     states = jax.jit(jax.vmap(maze().reset))(jax.random.split(jax.random.key(0), 3))
     rows = jax.jit(lambda states, key: collect(maze(), states, wander, key, 150)[1])(states, jax.random.key(1))
-    made = episodes_of(rows)
+    made = recorded_in(rows)
     save(tmp_path / "walks.npz", made)
     task = envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "walks.npz")))
     again = jax.device_get(task.recorded)

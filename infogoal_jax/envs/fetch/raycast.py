@@ -15,6 +15,7 @@ SUPERSAMPLING = 2
 """Rays along each side of a pixel."""
 SHADOW = 0.42
 """Share of the light that a shadow takes away."""
+GROUND_COLOUR, SKY_COLOUR = (0.80, 0.81, 0.83), (0.93, 0.945, 0.96)
 NOTHING, GROUND, TOP = 0, 1, 2
 """What a pixel of the still scene shows, as far as shadows care: no level surface, the ground, the top of the table."""
 
@@ -193,12 +194,12 @@ def shaded(colour, normal: np.ndarray, rays: np.ndarray) -> np.ndarray:
     return np.clip(np.asarray(colour) * (0.33 + 0.22 * sky + 0.5 * light)[:, None] + 0.12 * gloss[:, None], 0.0, 1.0)
 
 
-def empty_picture(camera: Camera, ground_colour=(0.80, 0.81, 0.83), sky_colour=(0.93, 0.945, 0.96)) -> Picture:
+def empty_picture(camera: Camera) -> Picture:
     """The ground at height 0, which fades into the sky with the distance."""
     fall = np.minimum(camera.rays[..., 2], -1e-6)
     distance = -camera.position[2] / fall
     nearness = np.exp(-np.maximum(distance - 2.0, 0.0) / 1.6)[..., None]
-    colour = (nearness * ground_colour + (1 - nearness) * sky_colour).astype(np.float32)
+    colour = (nearness * GROUND_COLOUR + (1 - nearness) * SKY_COLOUR).astype(np.float32)
     return Picture(colour, distance, np.where(distance < 30, GROUND, NOTHING).astype(np.uint8))
 
 
