@@ -45,7 +45,7 @@ def save(path: Path, header: dict[str, Any], tree: Any) -> None:
     """Write a pytree of arrays (typed keys included) with a header of JSON values. The old file stays until the new one
     is whole."""
     plain = jax.tree.map(lambda leaf: jax.device_get(jax.random.key_data(leaf) if is_key(leaf) else leaf), tree)
-    payload = flax.serialization.to_bytes(plain)
+    payload = flax.serialization.to_bytes(in_lists(plain))
     header = {"format": FORMAT, **json.loads(json.dumps(header))}
     first_line = json.dumps(header | {"sha256": checksum(header, payload)})
 
@@ -54,6 +54,17 @@ def save(path: Path, header: dict[str, Any], tree: Any) -> None:
         file.write(payload)
 
     write_atomically(path, write)
+
+
+def in_lists(tree: Any) -> Any:
+    """The pytree with a list of leaves for each node that flax does not know, as `mjx.Data` in an environment's
+    state."""
+    return jax.tree.map(lambda node: jax.tree.leaves(node) if is_unknown(node) else node, tree, is_leaf=is_unknown)
+
+
+def is_unknown(node: Any) -> bool:
+    """Whether this is a node, none of whose fields flax would write."""
+    return not jax.tree_util.all_leaves([node]) and node is not None and flax.serialization.to_state_dict(node) is node
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
@@ -112,12 +123,13 @@ def arrays(path: Path, payload: bytes, template: Any) -> Any:
         f"{path.parent / 'config.json'}"
     )
     try:
-        plain = flax.serialization.from_bytes(plain_template, payload)
+        plain = flax.serialization.from_bytes(in_lists(plain_template), payload)
     except (KeyError, TypeError, ValueError) as error:
         raise other from error
     for expected, found in zip(jax.tree.leaves(plain_template), jax.tree.leaves(plain), strict=True):
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise other
+    plain = jax.tree.structure(template).unflatten(jax.tree.leaves(plain))
     return jax.tree.map(lambda like, leaf: restored(leaf, like) if is_key(like) else leaf, template, plain)
 
 

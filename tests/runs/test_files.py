@@ -7,8 +7,11 @@ import os
 from pathlib import Path
 
 import hand_made
+import jax
+import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 from places import FIXTURES
 
 from infogoal_jax import presets
@@ -192,6 +195,20 @@ def test_every_kind_of_file_comes_back_as_it_was_written(run):
     assert header["epoch"] == 2 and from_dict(header["config"]) == about.config
     np.testing.assert_array_equal(tree["weight"], TREE["weight"])
     assert dataclasses.replace(about, seeds=[0]) != about
+
+
+def test_a_state_of_any_pytree_comes_back(tmp_path):
+    """`mjx.Data`, which MuJoCo Playground and tasks of one's own have in their states, is unknown to flax."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    data = mjx.make_data(model).replace(qpos=np.arange(7, dtype=np.float32))
+    tree = {"env": (data, None), "key": jax.random.key(3), "seeds": [np.arange(3, dtype=np.int32)]}
+    checkpoint.save(tmp_path / "checkpoint", {"epoch": 1}, tree)
+    found = checkpoint.load(tmp_path / "checkpoint", jax.eval_shape(lambda: tree))[1]
+    assert jax.tree.structure(found) == jax.tree.structure(tree)
+    assert (jax.random.key_data(found.pop("key")) == jax.random.key_data(tree.pop("key"))).all()
+    assert jax.tree.all(jax.tree.map(np.array_equal, found, tree))
 
 
 def test_a_run_of_a_task_that_a_script_registers_is_not_called_damaged():
