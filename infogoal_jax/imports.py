@@ -117,6 +117,11 @@ def import_flags() -> list[str]:
     return [word for file in imported.values() for word in (FLAG, str(file.path))]
 
 
+def typed_command(*words: object) -> str:
+    """A command of infogoal as it is typed into a shell, with the files that are imported here."""
+    return " ".join(["infogoal", *(typed(word) for word in (*words, *import_flags()))])
+
+
 def contents() -> dict[str, bytes]:
     """What a process on another machine needs to import the same files: {name: content}. Raises `UserError` for a file
     that was changed or deleted since it ran here."""

@@ -7,8 +7,8 @@ from typing import Literal
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from infogoal_jax.cli.commands import check_seed, draw, tell
-from infogoal_jax.errors import UserError, counted, require, typed
-from infogoal_jax.imports import entry_points, load
+from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.imports import entry_points, load, typed_command
 
 
 def evaluate(
@@ -108,7 +108,7 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
     chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     folders.pack(folder, Path(out), chosen)
-    tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {typed(out)}")
+    tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: {typed_command('evaluate', out)}")
     return 0
 
 

@@ -31,7 +31,8 @@ from infogoal_jax.cli.commands import (
     seeds_from,
     tell,
 )
-from infogoal_jax.errors import UserError, counted, require, typed
+from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.imports import typed_command
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -128,11 +129,11 @@ def train(
         from infogoal_jax.report.summary import print_summary
 
         with stop_on_signal() as stop:
-            stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {typed(folder)}"
+            stop.advice = f"the run in {folder} is whole; draw its figures with: {typed_command('report', folder)}"
             if not where.quiet:
                 print_summary(sweep)
             if sweep.stopped:
-                print(f"Stopped. Go on with: infogoal train --resume {typed(folder)}")
+                print(f"Stopped. Go on with: {typed_command('train', '--resume', folder)}")
                 return STATUS
             if figures:
                 from infogoal_jax.report.figures import draw_figures
@@ -254,7 +255,7 @@ def train_parts(
     if where.quiet:
         return 0
     if not all(job.is_done(folder) for job in jobs_of(config, plan)):
-        print(f"Stopped. Go on with: infogoal train --resume {typed(folder)}")
+        print(f"Stopped. Go on with: {typed_command('train', '--resume', folder)}")
         return STATUS
     print_sweep(folder, plan)
     if figures:

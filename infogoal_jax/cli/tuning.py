@@ -9,7 +9,8 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.choice import all_tasks, check_left_out, check_same_parts, of_task, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands, check_resumed_in_place, check_seed, new_folder, seeds_from
-from infogoal_jax.errors import UserError, require, typed
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.imports import typed_command
 
 HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help` shows the flags of a task, and
 `infogoal tune --resume SEARCH` goes on with a search that was stopped."""
@@ -173,9 +174,8 @@ def watch_search(config: Any, trials: int, seeds: int, folder: Path, command: st
     with tuning.watching(config, trials, seeds, folder, command) as watch:
         result = run(watch)
     if not result.finished:
-        print(
-            f"Stopped. The scores until then are in {folder}; go on with: infogoal {command} --resume {typed(folder)}"
-        )
+        onward = typed_command(command, "--resume", folder)
+        print(f"Stopped. The scores until then are in {folder}; go on with: {onward}")
         return 130
     tuning.print_result(result)
     return 0

@@ -59,7 +59,7 @@ def where(name: str, tasks: tuple[str, ...]) -> dict[str, list[str]]:
     those that it does."""
     found: dict[str, list[str]] = {}
     for task in tasks:
-        found.setdefault("; ".join(refusal.reason for refusal in against(task, name)), []).append(task)
+        found.setdefault("; ".join(dict.fromkeys(refusal.reason for refusal in against(task, name))), []).append(task)
     return found
 
 

@@ -23,8 +23,9 @@ from jax.interpreters import partial_eval
 
 from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
-from infogoal_jax.errors import require, require_known, typed
+from infogoal_jax.errors import require, require_known
 from infogoal_jax.hyperparameters import Search, search_space, values_of
+from infogoal_jax.imports import typed_command
 from infogoal_jax.learners.learner import has_reward
 from infogoal_jax.loading import check_combination, make_train
 from infogoal_jax.runner import memory
@@ -287,7 +288,7 @@ def how_to_go_on(watch: Watch | None, result: TuneResult) -> str:
     if watch is None:
         return NOTHING
     there = f"the scores until epoch {result.epochs[-1]}" if result.epochs else "no scores yet"
-    return f"{watch.folder} holds {there}; go on with: infogoal {watch.command} --resume {typed(watch.folder)}"
+    return f"{watch.folder} holds {there}; go on with: {typed_command(watch.command, '--resume', watch.folder)}"
 
 
 def last_point(folder: Path, start: TuneResult, programs: Programs) -> tuple[TuneResult, Member | None]:

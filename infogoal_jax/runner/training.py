@@ -15,8 +15,8 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax import checks, hyperparameters
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import require, typed
-from infogoal_jax.imports import checksums
+from infogoal_jax.errors import require
+from infogoal_jax.imports import checksums, typed_command
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
 from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
@@ -191,7 +191,7 @@ def run(
 def how_to_go_on(folder: Path, epoch: int) -> str:
     """What is on disk after this epoch, in words, and the command that goes on with it."""
     there = f"{folder} has a checkpoint of epoch {epoch}" if epoch else f"{folder} has no checkpoint yet"
-    return f"{there}; go on with: infogoal train --resume {typed(folder)}"
+    return f"{there}; go on with: {typed_command('train', '--resume', folder)}"
 
 
 def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", stop: StopRequest) -> RunResult:

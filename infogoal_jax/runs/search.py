@@ -6,15 +6,15 @@ config.json has, beside what it says of every run, the trials that were drawn an
 
 import dataclasses
 import json
-import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, typed
+from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import search_space, with_values
+from infogoal_jax.imports import typed_command
 from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs import configuration, disk
 from infogoal_jax.runs.configuration import OF_A_SEARCH, Description
@@ -108,7 +108,7 @@ class TuneResult:
     @property
     def command(self) -> str:
         """The command that trains with the best trial's values."""
-        return shlex.join(["infogoal", "train", self.config.task, *self.flags])
+        return typed_command("train", self.config.task, *self.flags)
 
     def config_of(self, trial: Trial) -> TrainConfig:
         """The configuration with a trial's values."""
@@ -188,8 +188,8 @@ def read_trials(folder: Path) -> tuple[Description, list[Trial]]:
     done, last = len(trials[0].success), about.config.num_evaluations
     if done < last:
         raise UserError(
-            f"search = {str(folder)!r}: was stopped after {done} of {last} evaluations; go on with: infogoal tune "
-            f"--resume {typed(folder)}"
+            f"search = {str(folder)!r}: was stopped after {done} of {last} evaluations; go on with: "
+            f"{typed_command('tune', '--resume', folder)}"
         )
     return about, trials
 

@@ -294,3 +294,12 @@ def test_runs_without_the_task_s_own_relabelling_say_so():
 def test_a_run_s_title_names_the_relabelling(task, method, said):
     """Also where every method of the task has it, and no method's name tells it."""
     assert run_title(presets.load(task, method)) == said
+
+
+def test_a_reason_is_said_once():
+    """Of LEO both the relabelling and the codes ask for a finite set."""
+    for task in presets.TASKS:
+        for method in presets.METHODS:
+            for reason in methods.where(method, (task,)):
+                said = reason.split("; ")
+                assert len(said) == len({*said}), (task, method)
