@@ -90,7 +90,7 @@ def check_names(group: Group, arguments: list[str], path: str = "") -> None:
         elif arguments:
             wrong = f"{path}{arguments[0]!r}: flags come after the command; name it first."
         else:
-            wrong = f"{path.strip()}: name what is meant."
+            wrong = f"{path.strip()}: a word is missing; give one."
         raise UserError(f"{wrong} Known: {', '.join(known)}")
     command = group.commands[name]
     if isinstance(command, Group):

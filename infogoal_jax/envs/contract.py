@@ -164,11 +164,14 @@ def check_goals(env: Environment) -> None:
         return
     with jax.ensure_compile_time_eval():
         keys = jax.random.split(from_seed(np.uint32(0)), DRAWN)
-        desired = jax.jit(jax.vmap(lambda key: env.reset(key).goal))(keys)
+        desired, finite = jax.jit(jax.vmap(lambda key: started(env, env.reset(key))))(keys)
         env.goals.checked(desired, "the goal of env.reset", axes=1)
         trained = np.asarray(jax.jit(env.goals.is_training_goal)(desired))
-        held_out = np.asarray(desired)[~trained][:1].tolist()
+        held_out = rounded(np.asarray(desired)[~trained][:1])
         require(trained.all(), "the goal of env.reset", held_out, "is held out of training; draw it by env.goals.draw")
+        for name, those in finite.items():
+            share = 1 - np.asarray(those).mean()
+            require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
         if type(env).goals_of is not Environment.goals_of:
             return  # What achieves a goal is known to the task alone.
         goals = env.goals.evaluated
@@ -178,14 +181,33 @@ def check_goals(env: Environment) -> None:
     larger, smaller = ("give a larger radius", "give a smaller radius") if by_radius else ("mend it", "mend it")
     never, always = np.flatnonzero(~np.diagonal(reached)), reached.all()
     if len(never):
-        goal = np.asarray(goals)[never[0]].tolist()
+        goal = rounded(np.asarray(goals)[never[0]])
         raise UserError(f"env.reached: is False where the goal {goal} itself is achieved{radius}; {larger}")
+    one = len(goals) > 1 and (np.asarray(goals) == np.asarray(goals)[0]).all()
+    require(
+        not one, "sampler", rounded(np.asarray(goals)[0]), "is the only goal that it draws; draw others from the key"
+    )
     require(
         len(goals) < 2 or not always,
         "env.reached",
         "True for every two goals",
         f"there is nothing to learn{radius}; {smaller}",
     )
+
+
+def started(env: Environment, state: Any) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """The desired goal of an episode that begins, and whether its numbers are finite, by the function that they are
+    of."""
+    seen = env.render(env.observe(state))
+    known = {"env.observation" if isinstance(env, GoalTask) else "env.observe": jnp.isfinite(seen).all()}
+    if isinstance(env, GoalTask):
+        known |= {"env.begin": env.is_finite(state.world)}
+    return state.goal, known
+
+
+def rounded(goals: np.ndarray) -> list:
+    """Goals as a message shows them."""
+    return np.round(goals.astype(float), 4).tolist()
 
 
 def check_flag(found: Any, name: str) -> None:

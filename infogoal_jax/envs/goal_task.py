@@ -111,9 +111,12 @@ class GoalTask(Environment):
         raise NotImplementedError
 
     def is_finite(self, world: Any) -> jax.Array:
-        """Whether all numbers of a world are finite, bool."""
-        floats = [leaf for leaf in jax.tree.leaves(world) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-        return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all() if floats else jnp.ones((), bool)
+        """Whether all numbers of a world and of what is seen of it are finite, bool; the goal that it achieves may be
+        NaN, which is none."""
+        numbers = jax.tree.leaves((world, self.observation(world)))
+        floats = [leaf for leaf in numbers if jnp.issubdtype(leaf.dtype, jnp.floating)]
+        finite = [jnp.isfinite(leaf).all() for leaf in floats]
+        return jnp.stack([*finite, ~jnp.isinf(self.achieved_goal(world)).any()]).all()
 
     def reset(self, key: jax.Array) -> Episode:
         """A new episode for a training goal."""

@@ -7,7 +7,10 @@ screen.
 
 import dataclasses
 import os
+import re
+import sys
 import textwrap
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +38,8 @@ FEWEST_SEEDS = 3
 """For an interval: with two seeds, Student's t makes it thirteen standard errors wide."""
 ANY, NOT_NEGATIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
 """What a metric can be at least and at most."""
+MISSING = re.compile(r"Glyph (\d+)")
+"""What matplotlib says of a letter that the font does not have."""
 LETTERS_PER_INCH = 17
 """Of the small print."""
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
@@ -133,7 +138,15 @@ def save(figure: Figure, path: Path, captions: bool = False) -> None:
         disk.write_atomically(path.with_suffix(".caption.txt"), lambda file: file.write(words.encode()))
         for text in (figure.suptitle(""), figure.supxlabel("")):
             text.set_in_layout(False)
-    disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.filterwarnings("always", MISSING.pattern)
+        disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
+    found = [(one, MISSING.match(str(one.message))) for one in said]
+    for other in (one for one, letter in found if letter is None):
+        warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
+    if letters := "".join(sorted({chr(int(letter[1])) for _, letter in found if letter})):
+        remedy = "a font.family that has them goes into the style sheet of `--style`"
+        print(f"infogoal: {path}: the font has no {letters}, drawn as boxes; {remedy}", file=sys.stderr)
 
 
 def white_mark(marker: str, label: str, size: float | None = None) -> Line2D:

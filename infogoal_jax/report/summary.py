@@ -57,6 +57,10 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
     return [f"seed {seed} diverged at epoch {epoch}; its numbers are left out" for seed, epoch in diverged.items()]
 
 
+CONTINUOUS = {"collect/diverged", "collect/nothing_achieved"}
+"""Metrics of a task with continuous goals."""
+
+
 def remarks_on(epochs: RunTable) -> list[str]:
     """A sentence for each thing in the epochs of a run that tells of a mistake in its task."""
     found, values = [], epochs.values
@@ -65,6 +69,9 @@ def remarks_on(epochs: RunTable) -> list[str]:
             "no episode of training reached its goal: more steps may be needed, or `reached` is never true of a goal "
             "that is desired"
         )
+    nothing = values["collect/nothing_achieved"].mean() if values.keys() >= CONTINUOUS else 0
+    if nothing:
+        found.append(f"{nothing:.2%} of the steps of training achieved no goal: `achieved_goal` was NaN")
     steps = int(values["collect/diverged"].sum()) if "collect/diverged" in values else 0
     if steps:
         found.append(f"{counted(steps, 'step')} of training led to numbers that are not finite, and were taken back")

@@ -12,6 +12,7 @@ import pytest
 
 from infogoal_jax import UserError, envs, make_train, presets
 from infogoal_jax.agents.td3 import TD3Config
+from infogoal_jax.envs.contract import check_goals
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
 from infogoal_jax.goals import GoalBox
@@ -98,6 +99,14 @@ WRONG = {
     "goals of another length": (
         dict(achieved_goal=lambda self, place: jnp.zeros(3)),
         r"env.achieved_goal: is float32 \[3\]; give float32 \[2\]",
+    ),
+    "what is seen is NaN": (
+        dict(observation=lambda self, place: jnp.log(place - 1.0)),
+        "env.observation = 'not finite at .*% of the starts': return finite numbers",
+    ),
+    "a world that begins at infinity": (
+        dict(begin=lambda self, key: jnp.full(2, jnp.inf), observation=lambda self, place: jnp.zeros(2)),
+        "env.begin = 'not finite at 100% of the starts': return finite numbers",
     ),
     "a world of another shape": (
         dict(move=lambda self, place, action: jnp.zeros(3)),
@@ -195,6 +204,22 @@ def test_steps_to_numbers_that_are_not_finite_are_counted():
     assert np.isfinite(rows.observation).all()
 
 
+@pytest.mark.parametrize("broken, diverged", [("observation", True), ("achieved_goal", False)])
+def test_a_step_to_an_observation_that_is_not_finite_is_undone(broken, diverged):
+    """A NaN among the goals that are achieved is none, and goes on."""
+    task = changed(**{broken: lambda self, place: jnp.where(place[0] > 1.0, jnp.nan, place)})
+    state = task.episode(jnp.array([0.95, 1.0]), jnp.array([0.2, 0.2]))
+    stepped = task.step(state, jnp.array([1.0, 0.0]))
+    assert bool(stepped.diverged) == bool(stepped.truncated) == diverged
+    assert np.isclose(stepped.world[0], 0.95 if diverged else 1.05)
+
+
+def test_a_sampler_of_one_goal_is_refused():
+    goals = GoalBox.of([0.0, 0.0], [2.0, 2.0], sampler=lambda key: jnp.array([0.5, 0.25]))
+    with pytest.raises(UserError, match=r"^sampler = \[0.5, 0.25\]: is the only goal that it draws"):
+        check_goals(Square(goals))
+
+
 def test_a_report_names_seeds_whose_codes_are_no_bottleneck():
     """Beta of the second seed is 0 to the end while its KL grows; that of the third is too, but it does not."""
     beta = np.array([0.01, 0.0, 0.0])[:, None] * np.ones((3, 20))
@@ -210,6 +235,9 @@ def test_a_report_says_what_epochs_tell_of_a_task():
     first, second = remarks_on(never)
     assert "no episode of training reached its goal" in first and second.startswith("2 steps of training")
     assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}))
+    nothing = {"collect/diverged": np.zeros((1, 2)), "collect/nothing_achieved": np.array([[0.5, 0.0]])}
+    (said,) = remarks_on(RunTable([0], np.arange(2), nothing))
+    assert said == "25.00% of the steps of training achieved no goal: `achieved_goal` was NaN"
 
 
 def test_a_world_may_have_empty_arrays():

@@ -14,6 +14,7 @@ from scipy import stats
 from infogoal_jax import UserError, envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.object_search import ObjectSearchConfig
+from infogoal_jax.report import canvas
 from infogoal_jax.report.comparison_figures import (
     check_metric,
     check_same_task,
@@ -310,3 +311,13 @@ def test_paired_difference_is_first_minus_second_and_forgets_what_seeds_share():
     assert difference.half_width < mean_interval(luck).half_width / 10
     with pytest.raises(UserError, match="same seeds"):
         paired_difference([1.0, 2.0], [1.0])
+
+
+def test_letters_that_the_font_does_not_have_are_named_in_one_line(tmp_path, capsys):
+    """And other warnings of matplotlib are left as they are."""
+    figure = canvas.empty_figure("目标 and 目", ("data",), (4.0, 3.0))
+    canvas.save(figure, tmp_path / "a.png")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"infogoal: {tmp_path / 'a.png'}: the font has no 标目, drawn as boxes")
+    canvas.save(canvas.empty_figure("goal", ("data",), (4.0, 3.0)), tmp_path / "b.png")
+    assert capsys.readouterr().err == ""
