@@ -169,7 +169,8 @@ def check_goals(env: Environment) -> None:
         trained = np.asarray(jax.jit(env.goals.is_training_goal)(desired))
         held_out = rounded(np.asarray(desired)[~trained][:1])
         require(trained.all(), "the goal of env.reset", held_out, "is held out of training; draw it by env.goals.draw")
-        for name, those in finite.items():
+        names = ("env.observation", "env.begin") if isinstance(env, GoalTask) else ("env.observe",)
+        for name, those in zip(names, finite, strict=True):
             share = 1 - np.asarray(those).mean()
             require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
         if type(env).goals_of is not Environment.goals_of:
@@ -195,14 +196,10 @@ def check_goals(env: Environment) -> None:
     )
 
 
-def started(env: Environment, state: Any) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The desired goal of an episode that begins, and whether its numbers are finite, by the function that they are
-    of."""
-    seen = env.render(env.observe(state))
-    known = {"env.observation" if isinstance(env, GoalTask) else "env.observe": jnp.isfinite(seen).all()}
-    if isinstance(env, GoalTask):
-        known |= {"env.begin": env.is_finite(state.world)}
-    return state.goal, known
+def started(env: Environment, state: Any) -> tuple[jax.Array, list[jax.Array]]:
+    """The desired goal of an episode that begins, and whether what is seen of it is finite, and its world."""
+    seen = jnp.isfinite(env.render(env.observe(state))).all()
+    return state.goal, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
 
 
 def rounded(goals: np.ndarray) -> list:
