@@ -62,7 +62,7 @@ def train(
         parts: Their names, which are in the configuration already.
         config: That of the task and the parts.
         resume: Folder of a run to go on with; auto: the one in --out, the newest like this, or a new one.
-        small: Begin with the task's preset for first trials.
+        small: Begin with the preset for first trials, which object_search has.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
         out: Folder of the run; empty: a new one under runs/.

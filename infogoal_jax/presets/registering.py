@@ -27,11 +27,13 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
 
     preset: its agent, sizes and floats; None: those of the tasks in the plane, TD3 with HER, or DQN where actions are
     discrete. The fields of `GoalTaskConfig` are its configuration, with the values that `env` has.
-    Raises `UserError` for what is no `GoalTask`, and for one that breaks the contract of environments or has values out
-    of range.
+    Raises `UserError` for what is no `GoalTask`, for the name of a task that was registered otherwise, and for one that
+    breaks the contract of environments or has values out of range.
     """
     checks.text(name, "name", "give the task a name, such as my_maze")
     require(isinstance(env, GoalTask), "env", type(env).__name__, "give a GoalTask; see docs/guides/own_task.md")
+    taken = name in envs.registry and not hasattr(Configurations, name)
+    require(not taken, "name", name, "is a task already; give yours another name")
     is_preset = preset is None or isinstance(preset, Preset)
     require(is_preset, "preset", preset, "give a presets.Preset, or None")
     fields = {

@@ -214,6 +214,17 @@ def test_a_step_to_an_observation_that_is_not_finite_is_undone(broken, diverged)
     assert np.isclose(stepped.world[0], 0.95 if diverged else 1.05)
 
 
+def test_a_task_of_the_package_keeps_its_name():
+    """One's own may be registered again, as a cell of a notebook is run again."""
+    before = envs.registry["point_maze"]
+    with pytest.raises(UserError, match="^name = 'point_maze': is a task already; give yours another name"):
+        presets.register("point_maze", Square(GOALS))
+    assert envs.registry["point_maze"] is before
+    presets.register("square", Square(GOALS))
+    presets.register("square", Square(GOALS, radius=0.3))
+    assert presets.load("square").env.radius == 0.3
+
+
 def test_a_sampler_of_one_goal_is_refused():
     goals = GoalBox.of([0.0, 0.0], [2.0, 2.0], sampler=lambda key: jnp.array([0.5, 0.25]))
     with pytest.raises(UserError, match=r"^sampler = \[0.5, 0.25\]: is the only goal that it draws"):
