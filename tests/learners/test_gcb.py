@@ -105,22 +105,18 @@ def test_gradients_are_finite_where_codes_are_equal():
     assert np.isfinite(jax.jit(jax.grad(loss))(equal)).all()
 
 
-@jax.jit
-def inputs():
-    """Of goals, and features of states and of goals."""
-    shapes = {0: (2, 16), 1: (6, 8), 5: (2, 8)}
-    drawn = [jax.random.normal(jax.random.key(seed), shape) for seed, shape in shapes.items()]
-    return drawn[0], jax.nn.relu(drawn[1]), jax.nn.relu(drawn[2])
-
-
-INPUTS, FEATURES, GOAL_FEATURES = inputs()
+RANDOM = np.random.default_rng(0)
+INPUTS, FEATURES, GOAL_FEATURES = (
+    jax.device_put(RANDOM.normal(size=shape).astype(np.float32)) for shape in ((2, 16), (6, 8), (2, 8))
+)
+"""Of goals, and features of states and of goals."""
 FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END = range(6)
 DISCOUNT = 0.9
 STATES = np.array([FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END, FIRST, WORSE_END])
 GOALS = np.array([0, 0, 0, 0, 0, 0, 1, 1])
-REWARDS = jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+REWARDS = np.float32([0, 0, 1, 0, 0, 1, 1, 0])
 FOLLOWING = np.array([WORSE_END, WORSE_END, WORSE_END, BETTER_END, FIRST, FIRST, WORSE_END, FIRST])
-DISCOUNTS = jnp.where((STATES == WORSE_END) | (STATES == BETTER_END), 0.0, DISCOUNT)
+DISCOUNTS = np.where((STATES == WORSE_END) | (STATES == BETTER_END), 0.0, DISCOUNT).astype(np.float32)
 """Eight transitions of six states: two of equal reward and successor, one of another reward, one of another successor,
 two that end; and the first state and an end under another goal, where the first state earns more. All eight targets can
 be met at once."""

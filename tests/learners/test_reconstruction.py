@@ -14,16 +14,11 @@ from infogoal_jax import networks
 from infogoal_jax.learners import dgrl, vae
 from infogoal_jax.loading import make_train
 
-
-@jax.jit
-def inputs():
-    """Vectors of length 1, about, as sentence embeddings are; and images of squares, 16 x 16."""
-    squares = jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256)
-    images = jnp.kron(squares, jnp.ones((1, 4, 4, 1), int)).astype(jnp.uint8)
-    return jax.random.normal(jax.random.key(10), (8, 16)) / 4.0, images
-
-
-VECTORS, IMAGES = inputs()
+RANDOM = np.random.default_rng(10)
+VECTORS = jax.device_put(RANDOM.normal(size=(8, 16)).astype(np.float32) / 4)
+"""Of length 1, about, as sentence embeddings are."""
+IMAGES = jax.device_put(RANDOM.integers(0, 256, (6, 4, 4, 3), np.uint8).repeat(4, 1).repeat(4, 2))
+"""Of squares, 16 x 16."""
 DISCRETE = dgrl.DGRLConfig(factors=4, codes=16, **SMALL)
 
 
