@@ -9,11 +9,13 @@ draws these anew in every step.
 import contextlib
 import functools
 import io
+import json
 import warnings
 
 import flax.struct
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
@@ -21,17 +23,21 @@ with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
     warnings.simplefilter("ignore")
     from brax.base import Motion, System, Transform
     from brax.envs.base import Env, State
-    from brax.io import mjcf
+    from brax.io import html, mjcf
+    from brax.io import json as brax_json
 
 from infogoal_jax import checks
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.environment import FetchState, make
 from infogoal_jax.envs.fetch.physics import Physics
+from infogoal_jax.envs.fetch.scene import ARM, GOAL, GOAL_RADIUS
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.envs.fetch.vectors import Vector
 from infogoal_jax.errors import require
 
 REWARDS = ("sparse", "dense")
+UPRIGHT = [1.0, 0.0, 0.0, 0.0]
+"""The quaternion that turns nothing."""
 
 
 @flax.struct.dataclass
@@ -176,8 +182,7 @@ class FetchBrax(Env):
 
     @functools.cached_property
     def sys(self) -> System:
-        """The model for brax's viewer: `html.render(env.sys, [state.pipeline_state, ...])`. Its time step is that of
-        the states, 40 ms."""
+        """The model in the form of brax's viewer. Its time step is that of the states, 40 ms."""
         with warnings.catch_warnings():
             # brax recommends MJX instead of its own physics, neither of which runs here.
             warnings.simplefilter("ignore")
@@ -212,3 +217,63 @@ def device_put_replicated(tree, devices):
         jax.sharding.Mesh(np.array(devices), ("device",)), jax.sharding.PartitionSpec("device")
     )
     return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([leaf] * len(devices)), along), tree)
+
+
+def render_html(env: Env, states: list[State], height: int = 480) -> str:
+    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. It
+    loads brax's scripts from the web when it is opened.
+
+    The arm's links are added to what MuJoCo's model has. Raises `UserError` for no states, or batches of them.
+    """
+    require(len(states) > 0, "states", "none", "give at least one")
+    for number, state in enumerate(states):
+        require(
+            state.obs.ndim == 1,
+            f"states[{number}]",
+            f"a batch of {state.obs.shape[:-1]}",
+            "give the states of one environment",
+        )
+    system = env.unwrapped.sys
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state.pipeline_state for state in states])
+    poses, goals = jax.device_get((stacked.x, stacked.fetch.goal))
+    scene = json.loads(brax_json.dumps(system, []))
+    for link, geoms in link_geoms(env.unwrapped.fetch.physics.mujoco_model, list(system.link_names)).items():
+        scene["geoms"].setdefault(link, []).extend(geoms)
+    positions = np.concatenate([poses.pos, goals[:, None]], 1)
+    rotations = np.concatenate([poses.rot, np.broadcast_to(np.array(UPRIGHT), (len(states), 1, 4))], 1)
+    scene["states"] = {
+        "x": [
+            {"pos": position.tolist(), "rot": rotation.tolist()}
+            for position, rotation in zip(positions, rotations, strict=True)
+        ]
+    }
+    return html.render_from_json(json.dumps(scene), height, colab=False, base_url=None)
+
+
+def link_geoms(mj: mujoco.MjModel, names: list[str]) -> dict[str, list[dict]]:
+    """Shapes that the viewer draws besides those of the model: the arm's links, and the goal as one more link."""
+
+    def geom(
+        kind: str,
+        link: int,
+        place: list[float],
+        turn: list[float],
+        colour: tuple[float, float, float],
+        size: list[float],
+    ) -> list[dict]:
+        return [{"name": kind, "link_idx": link, "pos": place, "rot": turn, "rgba": [*colour, 1.0], "size": size}]
+
+    geoms = {"goal": geom("Sphere", len(names), [0.0, 0.0, 0.0], UPRIGHT, GOAL, [GOAL_RADIUS, 0.0, 0.0])}
+    for first, last, radius, colour in ARM:
+        way = mj.body(last).pos
+        turn = np.zeros(4)
+        mujoco.mju_quatZ2Vec(turn, way)
+        geoms[first] = geom(
+            "Capsule",
+            names.index(first),
+            (way / 2).tolist(),
+            turn.tolist(),
+            colour,
+            [radius, float(np.linalg.norm(way)) / 2, 0.0],
+        )
+    return geoms

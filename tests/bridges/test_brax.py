@@ -1,6 +1,10 @@
 """The bridge to brax keeps what brax promises its users: keys, resets, truncations and links."""
 
+import base64
 import importlib
+import json
+import re
+import zlib
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +12,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError
-from infogoal_jax.bridges.brax import FetchBrax, brax_training
+from infogoal_jax.bridges.brax import FetchBrax, brax_training, render_html
 
 NOTHING = np.zeros(4, np.float32)
 EPISODE = 4
@@ -105,12 +109,25 @@ def test_brax_links_are_where_mujoco_puts_them_and_move_as_they_say(brax_states)
 
 
 @pytest.mark.long
-def test_brax_s_viewer_shows_the_states(brax_reach, brax_states):
+def test_the_viewer_s_page_shows_the_robot_its_motion_and_the_goal(brax_reach, brax_states):
     from brax.io import html
 
     env, _, _ = brax_reach
-    states = [jax.tree.map(lambda leaf: leaf[0], state.pipeline_state) for state in brax_states[:4]]
-    assert len(html.render(env.sys, states)) > 3000 and env.sys.opt.timestep == pytest.approx(0.04)
+    states = [jax.tree.map(lambda leaf: leaf[0], state) for state in brax_states[:4]]
+    page = render_html(env, states)
+    scene = max(
+        (json.loads(zlib.decompress(base64.b64decode(text))) for text in re.findall(r"[A-Za-z0-9+/=]{1000,}", page)),
+        key=len,
+    )
+    shapes = [geom["name"] for geoms in scene["geoms"].values() for geom in geoms]
+    assert {"Box", "Capsule", "Sphere", "Plane"} <= set(shapes) and len(shapes) > 12
+    assert len(scene["states"]["x"]) == 4 and scene["opt"]["timestep"] == pytest.approx(0.04)
+    goal = scene["geoms"]["goal"][0]["link_idx"]
+    assert np.allclose(scene["states"]["x"][0]["pos"][goal], states[0].pipeline_state.fetch.goal)
+    assert len(html.render(env.sys, [state.pipeline_state for state in states])) > 3000
+    for given, message in (([], "at least one"), (brax_states[:2], "batch")):
+        with pytest.raises(UserError, match=message):
+            render_html(env, given)
 
 
 def test_brax_environments_explain_wrong_names():
