@@ -570,14 +570,14 @@ def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning
     return {method: searches[name] for method, name in named.items() if name in searches}
 
 
+PRESETS_OF = {"object_search": "object_search", "fetch_reach": UNSEEN_FETCH}
+CHOSEN_OF = {"object_search": "object_search+read", "fetch_reach": UNSEEN_FETCH}
+"""By whose names the rows go of presets, and of floats that were chosen again, on each task."""
+
+
 def again(task: str, method: str) -> tuple[str, str]:
     """The task and method by whose names the rows of a clean choice go."""
-    return UNSEEN_FETCH if task == "fetch_reach" else f"{task}+read", f"{method}@clean"
-
-
-def beside_choices(task: str) -> str:
-    """The task by whose name the rows of presets go that clean choices are compared with."""
-    return UNSEEN_FETCH if task == "fetch_reach" else task
+    return CHOSEN_OF[task], f"{method}@clean"
 
 
 def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
@@ -591,7 +591,7 @@ def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search])
         if max(validation) < FLOOR:
             low[METHODS[method]] = max(validation)
             continue
-        runs = [run for run in ((beside_choices(task), method), again(task, method)) if numbers.has(*run)]
+        runs = [run for run in ((PRESETS_OF[task], method), again(task, method)) if numbers.has(*run)]
         cells = [
             "→".join(f"{np.mean(found):.2f}" for run in runs if (found := reached_at_best(numbers, *run, kind)))
             for kind in kinds_of(task)
@@ -624,7 +624,7 @@ def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Se
         for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
             row.append(signed(paired_difference(*(take(found[method])["success"][-1] for method in pair))))
         for rule in (str(SAME), "best"):
-            row.append(signed(difference(numbers, beside_choices(task), pair, "test", rule)))
+            row.append(signed(difference(numbers, PRESETS_OF[task], pair, "test", rule)))
             row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), "test", rule)))
         rows.append(row)
     goals = ("validation", f"test, ε {SAME}", "test, own best")

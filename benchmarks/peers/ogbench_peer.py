@@ -262,13 +262,13 @@ class Environments:
         context = multiprocessing.get_context("spawn")
         tasks = len(make_environment(dataset).unwrapped.task_infos)
         self.shape, self.count = (seeds, tasks, min(AT_ONCE, episodes)), episodes
-        episodes = [(task, each) for task in range(1, tasks + 1) for each in range(self.shape[2])] * seeds
-        self.shares = np.array_split(np.arange(len(episodes)), min(processes, len(episodes)))
+        each = [(task, number) for task in range(1, tasks + 1) for number in range(self.shape[2])] * seeds
+        self.shares = np.array_split(np.arange(len(each)), min(processes, len(each)))
         self.connections, self.processes = [], []
         for share in self.shares:
             own, other = context.Pipe()
             process = context.Process(
-                target=serve, args=(other, dataset, [episodes[number] for number in share]), daemon=True
+                target=serve, args=(other, dataset, [each[number] for number in share]), daemon=True
             )
             process.start()
             self.connections.append(own)

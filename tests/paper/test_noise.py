@@ -306,4 +306,4 @@ def test_clean_choices_of_fetch_stand_beside_presets_on_goal_sets_that_no_choice
     assert {number for _, _, sets in noise_numbers.PARTS["K"].runs for number in sets} == {7, 8, 9}
     for method in noise_numbers.OF_REACH:
         task, chosen = noise_numbers.again("fetch_reach", method)
-        assert task == noise_numbers.beside_choices("fetch_reach") and chosen in noise_numbers.methods_of(task)
+        assert task == noise_numbers.PRESETS_OF["fetch_reach"] and chosen in noise_numbers.methods_of(task)
