@@ -143,6 +143,11 @@ def with_seeds(success: np.ndarray, usual: int) -> str:
     return shown(success) + (f" ({len(success)})" if len(success) not in (0, usual) else "")
 
 
+def of_seeds(usual: int, rows: list[list[str]]) -> str:
+    """How many seeds success is of, behind `foot`."""
+    return f" {usual} seeds" + (", or as in brackets." if any(cell.endswith(")") for row in rows for cell in row[-2:]) else ".")
+
+
 def peers(outcomes: list[Outcome]) -> str:
     """Success of both sides after equal updates with 95 % intervals, and updates a second; behind ours stands how many
     times OGBench's they are."""
@@ -164,8 +169,7 @@ def peers(outcomes: list[Outcome]) -> str:
         name = f"`{NAMES.get(agent, agent)}`" + ("" if learner == "none" else f", {learner}")
         rows.append([name, *speeds, f"{theirs:,.0f}" if theirs else "", *success])
     head = ["agent", f"updates/s, {usual} seeds", "one seed", "OGBench's", "success", "OGBench's"]
-    seeds = f" {usual} seeds, or as in brackets." if marks else ""
-    return f"{markdown_lines(head, rows)}\n\n{foot(outcomes, marks)}{seeds}"
+    return f"{markdown_lines(head, rows)}\n\n{foot(outcomes, marks)}{of_seeds(usual, rows) if marks else ''}"
 
 
 def encoders(outcomes: list[Outcome]) -> str:
@@ -185,8 +189,8 @@ def encoders(outcomes: list[Outcome]) -> str:
                 f" ({len(success)})" if len(success) != usual else ""
             )
     noise = sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy})
-    cell = "A cell: tasks with goals as in training, tasks with goals held out"
-    cell += f", all tasks with goals told wrong by {', '.join(noise)} (one standard deviation)" if noise else ""
+    cell = "A cell: tasks with goals as in training, held out"
+    cell += f", all with goals told wrong by {', '.join(noise)} (one standard deviation)" if noise else ""
     head = ["goal encoder", *(f"`{NAMES.get(agent, agent)}`" for agent in agents)]
     table = markdown_lines(head, [[learner, *cells.values()] for learner, cells in rows.items()])
     return f"{table}\n\n{foot(outcomes, marks)} {usual} seeds. {cell}."
