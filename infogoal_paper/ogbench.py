@@ -1,6 +1,6 @@
 """Our offline agents beside OGBench's own programs: the results of benchmarks/peers/ogbench_peer.py.
 
-    python -m infogoal_paper.ogbench [FILE ...]    # put results into docs/results/ogbench.jsonl, and print the tables
+    python -m infogoal_paper.ogbench [FILE ...]    # put results into docs/results/ogbench.jsonl.gz, print tables
     python -m infogoal_paper.pages ogbench         # write the tables of docs/research/speed.md
 
 A file has a line for each evaluation of a program; the last line of a program has all before it, and counts. Results
@@ -17,9 +17,10 @@ import numpy as np
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import mean_interval
+from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl.gz"
 FIRST = "pointmaze-medium-navigate-v0"
 """The dataset whose tables have no name behind them."""
 NAMES = {"crl": "offline_crl"}
@@ -66,7 +67,7 @@ def read(paths: Iterable[Path]) -> dict[tuple, Outcome]:
     else ran on the device can only have made it slower."""
     found: dict[tuple, Outcome] = {}
     for path in paths:
-        for line in path.read_text().splitlines() if path.exists() else []:
+        for line in trial_numbers.read_text(path).splitlines() if path.exists() else []:
             outcome = Outcome(**json.loads(line))
             before = found.get(outcome.program())
             if before is not None:
@@ -77,10 +78,15 @@ def read(paths: Iterable[Path]) -> dict[tuple, Outcome]:
     return found
 
 
+def line_of(outcome: Outcome) -> str:
+    """The line of an outcome."""
+    return json.dumps(dataclasses.asdict(outcome)) + "\n"
+
+
 def append(path: Path, outcome: Outcome) -> None:
     """Write an outcome as a line."""
     with path.open("a") as file:
-        file.write(json.dumps(dataclasses.asdict(outcome)) + "\n")
+        file.write(line_of(outcome))
 
 
 def take(paths: Iterable[Path]) -> dict[tuple, Outcome]:
@@ -89,9 +95,7 @@ def take(paths: Iterable[Path]) -> dict[tuple, Outcome]:
     small = sorted({outcome.sizes for outcome in found.values() if outcome.sizes})
     if small:
         raise UserError(f"files: results with {small[0]}; give those with OGBench's sizes alone")
-    NUMBERS.unlink(missing_ok=True)
-    for outcome in found.values():
-        append(NUMBERS, outcome)
+    trial_numbers.write_compressed(NUMBERS, "".join(map(line_of, found.values())))
     return found
 
 
@@ -145,7 +149,8 @@ def with_seeds(success: np.ndarray, usual: int) -> str:
 
 def of_seeds(usual: int, rows: list[list[str]]) -> str:
     """How many seeds success is of, behind `foot`."""
-    return f" {usual} seeds" + (", or as in brackets." if any(cell.endswith(")") for row in rows for cell in row[-2:]) else ".")
+    others = any(cell.endswith(")") for row in rows for cell in row[-2:])
+    return f" {usual} seeds" + (", or as in brackets." if others else ".")
 
 
 def peers(outcomes: list[Outcome]) -> str:

@@ -19,7 +19,7 @@ them is replaced by what the numbers of the source give. Sources:
               sb3_her/reference.csv.gz
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
     jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
-    ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl
+    ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl.gz
     first_hour  what benchmarks/speed/first_steps.py saved, in first_hour.json
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
