@@ -1,7 +1,7 @@
 """Files of Python that a user names, whose tasks and parts a command then knows: `--import my_task.py`.
 
-A file runs only because whoever types the command names it. A run remembers the name and the checksum of what it was
-made with; that alone never runs anything.
+A file runs only because whoever types the command names it. A run keeps a copy of what it was made with, and its
+checksum; that alone never runs anything.
 """
 
 import atexit
@@ -26,10 +26,19 @@ GROUP = "infogoal.plugins"
 """Entry points of installed packages, modules that register tasks and parts when they are imported."""
 
 
+COPIES = "imports"
+"""The folder of a run that holds a copy of each file that it was made with."""
+
+
+class OtherImportsError(UserError):
+    """What a run was made with is not imported, or is another file now."""
+
+
 class Imported(NamedTuple):
-    """A file that ran. checksum: SHA-256 of its content."""
+    """A file that ran, as it was then. checksum: SHA-256 of its content."""
 
     path: Path
+    content: bytes
     checksum: str
 
 
@@ -64,7 +73,7 @@ def import_file(file: str | Path) -> None:
         line = lines[-1][1] if lines else getattr(error, "lineno", None)
         where = f", line {line}" if line else ""
         raise UserError(f"{given}{where}: {reason(error)}; mend the file") from error
-    imported[path.name] = Imported(path, checksum)
+    imported[path.name] = Imported(path, content, checksum)
 
 
 def traceback_lines(error: BaseException) -> list[tuple[str, int]]:
@@ -123,17 +132,8 @@ def typed_command(*words: object) -> str:
 
 
 def contents() -> dict[str, bytes]:
-    """What a process on another machine needs to import the same files: {name: content}. Raises `UserError` for a file
-    that was changed or deleted since it ran here."""
-    found = {}
-    for name, file in imported.items():
-        try:
-            found[name] = read_bytes(file.path)
-        except OSError as error:
-            raise UserError(f"import = {str(file.path)!r}: {error.strerror or error}; put the file back") from error
-        changed = hashlib.sha256(found[name]).hexdigest() != file.checksum
-        require(not changed, "import", str(file.path), "was changed since it was imported; start again")
-    return found
+    """What a process on another machine needs to import the same files: {name: content}."""
+    return {name: file.content for name, file in imported.items()}
 
 
 def import_contents(files: dict[str, bytes]) -> None:
@@ -154,22 +154,29 @@ def checksums() -> dict[str, str]:
     return {name: file.checksum for name, file in sorted(imported.items())}
 
 
-def check_unchanged(wanted: dict[str, str], place: str) -> None:
-    """Raise `UserError` if a file that a run was made with is imported with another content, or other files in its
-    place. place: of the run's description."""
+def check_unchanged(wanted: dict[str, str], path: Path) -> None:
+    """Raise `OtherImportsError` if a file that a run was made with is imported with another content, or other files in
+    its place. path: of the run's description."""
     for name, checksum in wanted.items():
         file = imported.get(name)
         if file is not None and file.checksum != checksum:
-            raise UserError(
-                f"{place}: the run was made with another {name!r} (SHA-256 {checksum[:12]}) than {file.path} "
-                f"({file.checksum[:12]}); give the file as it was"
+            raise OtherImportsError(
+                f"{path}: the run was made with another {name!r} (SHA-256 {checksum[:12]}) than {file.path} "
+                f"({file.checksum[:12]}); give the file as it was: {flags_of([name], path)}"
             )
     if imported and not set(wanted.values()) <= {file.checksum for file in imported.values()}:
-        raise UserError(f"{place}: {missing(wanted)}")  # What others register may be another task of the same name.
+        raise OtherImportsError(f"{path}: {missing(wanted, path)}")  # Others may register a task of the same name.
 
 
-def missing(wanted: dict[str, str]) -> str:
-    """What helps where a run was made with files that are not imported, in words; empty if all are."""
+def missing(wanted: dict[str, str], path: Path) -> str:
+    """What helps where a run was made with files that are not imported, in words; empty if all are. path: of the run's
+    description."""
     names = [name for name in wanted if name not in imported]
-    flags = " ".join(f"{FLAG} {typed(name)}" for name in names)
-    return f"the run was made with {', '.join(names)}; if you trust what is in it, give {flags}" if names else ""
+    made_with = f"the run was made with {', '.join(names)}; if you trust what is in it, give {flags_of(names, path)}"
+    return made_with if names else ""
+
+
+def flags_of(names: list[str], path: Path) -> str:
+    """The words that import these files: the copies beside this description of a run, where it has them."""
+    copies = {name: path.parent / COPIES / name for name in names}
+    return " ".join(f"{FLAG} {typed(copy if copy.exists() else name)}" for name, copy in copies.items())

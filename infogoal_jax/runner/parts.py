@@ -246,6 +246,7 @@ def start(config: TrainConfig, plan: Plan, folder: Path) -> None:
     check_new(folder, (*RUN, NAME, PARTS))
     disk.make_folder(folder)
     made_with = {"imports": files} if (files := checksums()) else {}
+    configuration.keep_imports(folder, files)
     values = {"config": to_dict(config), **dataclasses.asdict(plan), **made_with}
     disk.write_json(folder / NAME, values, indent=2)
 

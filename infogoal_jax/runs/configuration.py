@@ -3,6 +3,7 @@ that looks at the run."""
 
 import dataclasses
 import os
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -199,7 +200,16 @@ class Description:
 
 def write(folder: Path, description: Description, **more: Any) -> None:
     """Write config.json, with more JSON values where a search has more to say."""
+    keep_imports(folder, description.imports)
     disk.write_json(folder / NAME, description.values() | more, indent=2)
+
+
+def keep_imports(folder: Path, names: Container[str]) -> None:
+    """Write a copy of each file of `--import` of these names, as it was when it ran."""
+    for name, content in imports.contents().items():
+        if name in names:
+            disk.make_folder(folder / imports.COPIES)
+            disk.write_atomically(folder / imports.COPIES / name, lambda file, content=content: file.write(content))
 
 
 def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Description:
@@ -227,12 +237,12 @@ def read_values(folder: Path, field: str, remedy: str) -> tuple[Any, Place]:
 def made_with(files: dict[str, str], config: Any, place: Place) -> TrainConfig:
     """The configuration of what was made with these files of `--import`, {name: SHA-256}. Raises `UserError`, naming
     the file, where it cannot be read and one of them is not imported, or is another now."""
-    imports.check_unchanged(files, str(place.path))
+    imports.check_unchanged(files, place.path)
     try:
         return from_dict(config, place.within("config"))
     except UserError as error:
-        if needed := imports.missing(files):
-            raise UserError(f"{place.path}: {needed}") from error
+        if needed := imports.missing(files, place.path):
+            raise imports.OtherImportsError(f"{place.path}: {needed}") from error
         raise
 
 

@@ -11,6 +11,7 @@ import dataclasses
 import hashlib
 import os
 import platform
+import re
 import stat
 import sys
 import tempfile
@@ -26,6 +27,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require, require_known, typed
 from infogoal_jax.files import has_no_locks, open_lock, try_lock
+from infogoal_jax.imports import COPIES, OtherImportsError
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import disk_error, make_folder
@@ -41,9 +43,10 @@ RUN = (
     "evaluation.json",
     "figures",
     "low_level.npz",
+    COPIES,
 )
 """What `infogoal train` and `pretrain`, and what looks at its run, writes."""
-SEARCH = ("config.json", "checkpoint", "trials.jsonl", "best.json")
+SEARCH = ("config.json", "checkpoint", "trials.jsonl", "best.json", COPIES)
 """What `infogoal tune` and `infogoal final` write."""
 APPENDED = {LOCK, *(name for table in tables.TABLES for name in tables.file_names(table))}
 """What is changed in place, so that a second name of such a file would show the change too."""
@@ -227,7 +230,7 @@ def pack(folder: Path, out: Path, seed: int) -> None:
 def may_be_replaced(out: Path) -> bool:
     """Whether nothing but an earlier packed run is lost where a run is packed."""
     try:
-        return set(archives.unzipped(files.read_bytes(out), LARGEST)) == set(NAMES)
+        return is_packed(archives.unzipped(files.read_bytes(out), LARGEST))
     except FileNotFoundError:
         return not out.is_symlink()
     except NotADirectoryError:
@@ -236,10 +239,16 @@ def may_be_replaced(out: Path) -> bool:
         return False
 
 
+def is_packed(names: Iterable[str]) -> bool:
+    """Whether a zip of files of these names is a packed run."""
+    return {name for name in names if not re.fullmatch(rf"{COPIES}/[^./][^/]*\.py", name)} == set(NAMES)
+
+
 def write_zip(file, folder: Path) -> None:
     """Write the files of a packed run, in their order and without dates."""
+    copies = sorted(path.relative_to(folder).as_posix() for path in folder.glob(f"{COPIES}/*.py"))
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in NAMES:
+        for name in (*NAMES, *copies):
             archive.writestr(zipfile.ZipInfo(name, DATE), files.read_bytes(folder / name), zipfile.ZIP_DEFLATED)
 
 
@@ -265,12 +274,11 @@ def unpacked(path: Path) -> Path:
         return folder
     with archives.naming("run", path, "give a file of `infogoal pack`, or the folder of a run"):
         found = archives.unzipped(content, LARGEST)
-        require(
-            set(found) == set(NAMES), "files", sorted(found), "it is no file of `infogoal pack`; pack the run again"
-        )
+        require(is_packed(found), "files", sorted(found), "it is no file of `infogoal pack`; pack the run again")
     try:
         with archives.new_folder(folder, "run") as beside:
             for name, member in found.items():
+                (beside / name).parent.mkdir(exist_ok=True)
                 (beside / name).write_bytes(member)
             check_packed(beside, path)
     except UserError:
@@ -280,13 +288,15 @@ def unpacked(path: Path) -> Path:
 
 
 def check_packed(folder: Path, path: Path) -> None:
-    """Raise `UserError`, which names the packed file, if what was unpacked is damaged: nothing of it stays then."""
+    """Raise `UserError`, which names the packed file, if what was unpacked is damaged: nothing of it stays then. It
+    stays where it only needs a file of `--import`, of which it has a copy."""
     try:
-        about = configuration.read(folder)
         checkpoint.read_header(folder / "policy")
         for table in tables.TABLES:
             tables.read_table(folder, table)
-        require(len(about.seeds) == 1, "seeds", about.seeds, "a packed run has one")
+        with contextlib.suppress(OtherImportsError):
+            about = configuration.read(folder)
+            require(len(about.seeds) == 1, "seeds", about.seeds, "a packed run has one")
     except UserError as error:
         reason = str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "its folder")
         raise UserError(f"run = {str(path)!r}: {reason}") from error
