@@ -147,7 +147,7 @@ def test_a_sweep_says_which_file_it_needs(my_task, capsys):
     assert refused("report rates".split(), capsys).endswith("is of a sweep; give one of its runs")
     forget()
     line = refused("train --resume rates".split(), capsys)
-    assert "rates/sweep.json: the run was made with my_task.py" in line and "give --import my_task.py" in line
+    assert "rates/sweep.json: the run was made with my_task.py" in line and "--import rates/imports/my_task.py" in line
     my_task.write_text(TASK + "# Changed.")
     assert "made with another 'my_task.py'" in refused("train --resume rates --import my_task.py".split(), capsys)
 
