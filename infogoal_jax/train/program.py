@@ -40,7 +40,7 @@ from infogoal_jax.train.parts import (
     make_parts,
     numbered,
 )
-from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy
+from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy, with_checked_inputs
 from infogoal_jax.train.update import updates
 
 
@@ -100,8 +100,13 @@ class Train:
         return Setup(self.parts, self.config.hyper if hyper is None else hyper, self.env if env is None else env)
 
     def policy(self, params: dict, hyper: Hyperparameters, env: Any, use_mean: bool | jax.Array = False) -> Policy:
-        """The policy of `rollout.trained_policy`."""
-        return trained_policy(self.setup(hyper, env), params, use_mean)
+        """The policy of `rollout.trained_policy`. It raises `UserError` for other observations than the task's, for
+        what are no goals of it, and for what is not finite."""
+        setup = self.setup(hyper, env)
+        shapes, recorded = self.state_shapes, setup.env.recorded
+        seen = (shapes.buffer if recorded is None else recorded).observation
+        seen = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[2:], leaf.dtype), seen)
+        return with_checked_inputs(trained_policy(setup, params, use_mean), setup.env, seen)
 
     def evaluate(
         self,

@@ -2,11 +2,14 @@
 is fixed for its length, to collect experience."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax import checks
 from infogoal_jax.agents.agent import Exploration
+from infogoal_jax.errors import require
 from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.learners.learner import Encode, GoalCode, conditioned
 from infogoal_jax.replay import Trajectories
@@ -57,6 +60,32 @@ def trained_policy(setup: Setup, params: dict, use_mean: bool | jax.Array = Fals
     encode_index = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size).of_any()
     exploration = Exploration(hyper.test_epsilon, 0.0)
     return policy(setup, params, exploration, encode, use_mean | tests_on_means(parts))
+
+
+def with_checked_inputs(policy: Policy, env, seen: Any) -> Policy:
+    """The policy, which raises `UserError` for observations of other shapes than these, for goals that the task does
+    not have, and for what is not finite; of arrays that are traced the shapes alone are known. seen: of one
+    observation."""
+
+    def check(place, wanted, given):
+        is_whole = jnp.issubdtype(wanted.dtype, jnp.integer)
+        shape = ("E", *wanted.shape)
+        remedy = f"give observations of the task, {checks.written(shape, str(wanted.dtype))}"
+        name = f"observation{jax.tree_util.keystr(place)}"
+        checks.array(given, name, "whole numbers" if is_whole else "numbers", shape, remedy)
+
+    def checked(observation, goal, key):
+        mine, wanted = jax.tree.structure(observation), jax.tree.structure(seen)
+        if wanted.num_leaves > 1:
+            require(mine == wanted, "observation", mine, f"give observations of the task, {wanted}")
+            jax.tree_util.tree_map_with_path(check, seen, observation)
+        else:
+            check((), seen, observation)
+        if not isinstance(goal, GoalCode):
+            env.goals.checked(goal, "goal", axes=1)
+        return policy(observation, goal, key)
+
+    return checked
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):

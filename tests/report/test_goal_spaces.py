@@ -114,6 +114,28 @@ def test_an_episode_goes_to_a_typed_goal(folder):
         rollout(run.env, run.policy(), [1.2, 3.7], jax.random.key(0))
 
 
+@pytest.mark.parametrize(
+    ("observation", "goal", "said"),
+    [
+        (
+            np.ones((1, 3)),
+            np.ones((1, 2)),
+            r"observation = .*float64 \[1, 3\].*give observations of the task, float32 \[E, 2\]",
+        ),
+        (np.ones(2), np.ones((1, 2)), r"observation = .*give observations of the task, float32 \[E, 2\]"),
+        (np.array([[1, np.nan]]), np.ones((1, 2)), r"observation\[0, 1\] = nan: give finite numbers"),
+        (np.ones((1, 2)), np.array([[1, np.nan]]), r"goal\[0, 1\] = nan: give finite numbers"),
+        (np.ones((1, 2)), np.array([[1, 9.0]]), r"goal = \[1.0, 9.0\]: lies outside; give 0 to 3, 0 to 3"),
+    ],
+)
+def test_a_policy_says_what_is_no_observation_and_no_goal(maze, observation, goal, said):
+    train = make_train(CONFIG, maze)
+    policy = train.policy(hand_made_points.random_params(train), CONFIG.hyper, maze)
+    assert policy(np.ones((1, 2)), np.ones((1, 2)), jax.random.key(0)).shape == (1, 2)
+    with pytest.raises(UserError, match=said):
+        policy(observation, goal, jax.random.key(0))
+
+
 def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path):
     """Places and goals go in as the task has them, and the actions are those of JAX."""
     train = make_train(CONFIG, maze)
