@@ -88,6 +88,10 @@ WRONG = {
         dict(reached=lambda self, record, goal: (record - goal < 9).all(-1)),
         "env.reached = 'True for every two goals': there is nothing to learn",
     ),
+    "a reward": (
+        dict(reward=lambda self, world: 0.0),
+        "env.reward = 'a function': nothing calls it: a goal that is reached is the reward; leave it out",
+    ),
     "a function that is not written": (
         dict(achieved_goal=GoalTask.achieved_goal),
         "env.achieved_goal: achieved_goal is not written, and the contract asks for it",
