@@ -3,6 +3,8 @@ Presets hold what the searches found, and mean one thing however a method is nam
 
 import dataclasses
 import math
+import typing
+from typing import Literal
 
 import hand_made
 import jax
@@ -15,6 +17,7 @@ from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Positive, Share, Weight, hints_of
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
@@ -35,6 +38,38 @@ def with_part(part: str, **values):
 
 def with_hyper(**values):
     return dataclasses.replace(CONFIG, hyper=CONFIG.hyper.replace(**values))
+
+
+def beyond(field: dataclasses.Field, hint) -> list:
+    """Values that a field declares it cannot have: another word than its own, numbers at or past the ends of its
+    interval, and numbers that are not finite."""
+    if typing.get_origin(hint) is Literal:
+        return ["another"]
+    found = [math.inf, math.nan] if hint in (float, Share, Weight, Positive) else []
+    for within in getattr(hint, "__metadata__", ()):
+        ends, inside = (
+            [float(end) for end in within.interval[1:-1].split(",")],
+            within.interval[0] + within.interval[-1],
+        )
+        kind = int if isinstance(field.default, int) or hint.__origin__ == tuple[int, ...] else float
+        past = [end + step * (mark in "[]") for end, step, mark in zip(ends, (-1, 1), inside, strict=True)]
+        found += [kind(value) for value in past if math.isfinite(value)]
+    return [(value,) if isinstance(field.default, tuple) else value for value in found]
+
+
+@pytest.mark.parametrize("kind", presets.loading.REGISTRIES)
+def test_every_field_of_a_part_is_held_to_what_it_declares(kind):
+    """Whatever part it is of: a value beyond is named with its field."""
+    looked_at = 0
+    for entry in presets.loading.REGISTRIES[kind].values():
+        config = entry.config()
+        for field in dataclasses.fields(config):
+            for value in beyond(field, hints_of(entry.config)[field.name]):
+                with pytest.raises(UserError, match=rf"^{kind}\.{field.name} = ") as error:
+                    dataclasses.replace(CONFIG, **{kind: dataclasses.replace(config, **{field.name: value})})
+                assert "\n" not in str(error.value)
+                looked_at += 1
+    assert looked_at > 3
 
 
 def test_numbers_of_numpy_are_those_of_python():

@@ -47,22 +47,10 @@ def test_critics_and_encoders_learn_from_the_critics_loss_alone(name):
     assert all(any((leaf != 0).any() for leaf in jax.tree.leaves(own[part])) for part in critics)
 
 
-@pytest.mark.parametrize(
-    ("name", "changes", "field"),
-    [
-        *((name, {"hidden": (64, 0)}, "agent.hidden") for name in VECTORS),
-        ("td3", {"num_steps": 0}, "agent.num_steps"),
-        ("sac", {"num_steps": 10_000}, "agent.num_steps"),
-        ("td3", {"critic": "sum"}, "agent.critic"),
-        ("td3", {"critic_size": 0}, "agent.critic_size"),
-        ("crl", {"size": 0}, "agent.size"),
-        ("crl", {"energy": "cosine"}, "agent.energy"),
-    ],
-)
-def test_sizes_out_of_range_are_refused(name, changes, field):
-    with pytest.raises(UserError, match=rf"^{field} = ") as error:
-        presets.load("fetch_push", "her", agent=agents.registry.entry(name).config(**changes))
-    assert "\n" not in str(error.value)
+@pytest.mark.parametrize(("name", "num_steps"), [("td3", 0), ("sac", 10_000)])
+def test_returns_longer_than_an_episode_are_refused(name, num_steps):
+    with pytest.raises(UserError, match=r"^agent.num_steps = "):
+        presets.load("fetch_push", "her", agent=agents.registry.entry(name).config(num_steps=num_steps))
 
 
 @every_agent

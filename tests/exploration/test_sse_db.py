@@ -289,19 +289,3 @@ def test_a_task_without_a_finite_set_of_observations_is_refused():
     config = presets.load("fetch_reach", "none", explorer="sse_db")
     with pytest.raises(UserError, match="explorer = 'sse_db': .*bonus is kept.*give none"):
         load_environment(config)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("latent_size", 0),
-        ("width", 0),
-        ("projection_size", -1),
-        ("kl_weight", -0.1),
-        ("prediction_weight", float("inf")),
-        ("contrastive_weight", float("nan")),
-    ],
-)
-def test_values_out_of_range_are_named(field, value):
-    with pytest.raises(UserError, match=f"explorer.{field} = "):
-        dataclasses.replace(hand_made.config(), explorer=dataclasses.replace(SMALL, **{field: value}))

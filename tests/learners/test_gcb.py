@@ -267,19 +267,6 @@ def test_the_policy_can_be_given_the_goal_alone():
     assert conditioned(learner, params, codes, FEATURES[:1]) is codes
 
 
-def test_wrong_settings_are_refused():
-    for field, value in (
-        ("latent_size", 0),
-        ("paired_hidden", (128, 0)),
-        ("reward_weight", 0.0),
-        ("policy_input", "sum"),
-        ("reward_hidden", -1),
-        ("relabelled_share", 1.5),
-    ):
-        with pytest.raises(UserError, match=field):
-            hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
-
-
 @pytest.mark.long
 def test_trains_on_the_hand_made_rooms():
     train = make_train(hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())

@@ -8,7 +8,7 @@ import optax
 import pytest
 from hand_made import rows_of
 
-from infogoal_jax import UserError, make_train
+from infogoal_jax import make_train
 from infogoal_jax.learners import infobot
 from infogoal_jax.learners.goal_encoder import kl_to_standard_normal
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
@@ -78,11 +78,6 @@ def test_beta_rises_to_its_value_over_the_warm_up():
         np.testing.assert_allclose(loss, metrics["beta"] * metrics["kl"] / np.log(2), rtol=1e-5)
         betas.append(metrics["beta"])
     np.testing.assert_allclose(betas, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
-
-
-def test_a_warm_up_that_cannot_be_is_refused():
-    with pytest.raises(UserError, match="learner.warm_up = -1"):
-        hand_made.config("infobot", learner=infobot.InfoBotConfig(warm_up=-1))
 
 
 def test_the_code_tells_less_of_the_goal_the_greater_beta_is():

@@ -240,9 +240,6 @@ def test_filter_goes_through_all_episodes(monkeypatch):
     assert any(with_rewards) and not all(with_rewards) and len(with_rewards) > 8
 
 
-@pytest.mark.parametrize(
-    "fields", [{"share": 1.5}, {"random_share": -0.1}, {"filter": "advantage", "choice": "first_occurrence"}]
-)
-def test_fields_that_cannot_be(fields):
-    with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
-        dataclasses.replace(hand_made.config(), relabelling=ghrl.GHRLConfig(**fields))
+def test_a_filter_goes_with_the_best_choice_alone():
+    with pytest.raises(UserError, match="relabelling.filter = 'advantage'"):
+        dataclasses.replace(hand_made.config(), relabelling=ghrl.GHRLConfig(filter="advantage"))
