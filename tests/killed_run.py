@@ -25,6 +25,8 @@ from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.runs.search import Trial, read_plan
 
+FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
+"""Of a run: those that have the same bits whenever the run is the same."""
 REFUSED = 2
 STOPPED = 130
 STARTING, COMPILING, TRAINING, WRITING, DRAWING = MOMENTS = ("starting", "compiling", "training", "writing", "drawing")
@@ -54,6 +56,11 @@ def watched(module, name: str, what: str, afterwards: str | None = None) -> None
             return function(*arguments, **named)
 
     setattr(module, name, call)
+
+
+def same_run(first: Path, second: Path) -> bool:
+    """Whether two runs left the same bits in every file."""
+    return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
 
 
 def chunk_config(**changes):
@@ -88,8 +95,8 @@ def small_train(config, env=None, size: int = MEGABYTE):
     """Training whose program compiles in a moment: its numbers depend on every epoch, seed and hyperparameter before.
     size: of its weights.
 
-    Nothing is learned by it; what is killed here is the loop around the program. `tests/runner/test_resume.py` kills
-    the real one.
+    Nothing is learned by it; what is killed here is the loop around the program. `tests/runner/test_signals.py`
+    kills the real one.
     """
 
     def initial(key, hyper, env):
@@ -158,11 +165,6 @@ def small(folder: Path) -> bool:
     return run_of(small_config(), folder)
 
 
-def real(folder: Path) -> bool:
-    """A run of two seeds with InfoGoal's own program."""
-    return run_of(chunk_config(), folder)
-
-
 def run_of(config, folder: Path) -> bool:
     """A run of two seeds, or what is left of it. Returns whether it finished."""
     resume = (folder / "config.json").exists()
@@ -173,10 +175,9 @@ def child(kind: str, folder: str, shared) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
     global moment
     moment = shared
-    if kind not in ("small", "real"):
+    if kind != "small":
         jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
-    if kind != "real":
-        training.make_train = search.make_train = small_train
+    training.make_train = search.make_train = small_train
     watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
     watched(tables, "append_rows", WRITING)
     watched(files, "replace_file", WRITING)
@@ -191,7 +192,7 @@ def child(kind: str, folder: str, shared) -> None:
 
 
 def start(kind: str, folder: Path) -> tuple[multiprocessing.Process, Callable[[], str]]:
-    """A process that runs `train`, `tune`, `final`, `short`, `small` or `real` in this folder, and what tells which of
+    """A process that runs `train`, `tune`, `final`, `short` or `small` in this folder, and what tells which of
     `MOMENTS` it is at; one that has everything imported forks it, which saves seconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["killed_run"])

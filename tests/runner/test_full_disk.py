@@ -4,7 +4,6 @@ again, and the run ends with the bits of one that was left alone."""
 import errno
 import functools
 import os
-import subprocess
 from pathlib import Path
 
 import hand_made
@@ -16,8 +15,6 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs import folder as folders
-
-FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
 
 class Disk:
@@ -124,14 +121,14 @@ def epoch_of(folder: Path) -> int:
 
 def fill_from(number: int, folder: Path, whole: Path, env, monkeypatch) -> None:
     """Let the disk be full from this write on, and go on when it has space."""
-    with pytest.raises(UserError, match="could not be written.*(No space left|free some space)"):
+    with pytest.raises(UserError, match="could not be written.*(No space left|free some space)") as refused:
         run(folder, env, Disk(number), monkeypatch)
     assert not list(folder.glob(".*")), list(folder.glob(".*"))  # No lock, and nothing half written.
     before = epoch_of(folder)
+    assert ("--resume" in str(refused.value)) == (before > 0)
     run(folder, env, Disk(), monkeypatch)
     assert before <= epoch_of(folder) == 6
-    for name in FILES:
-        assert (folder / name).read_bytes() == (whole / name).read_bytes(), (number, name)
+    assert killed_run.same_run(folder, whole), number
 
 
 @pytest.mark.parametrize("every", [40, pytest.param(1, marks=pytest.mark.long)])
@@ -141,34 +138,3 @@ def test_a_disk_that_is_full_from_any_write_on(every, env, tmp_path, monkeypatch
     assert disk.asked > 70
     for number in range(every // 2, disk.asked, every):
         fill_from(number, tmp_path / str(number), tmp_path / "whole", env, monkeypatch)
-
-
-@pytest.mark.long
-def test_a_small_disk_that_others_fill(env, tmp_path):
-    """A real one, of 40 MiB, on which somebody else leaves a little less room each time."""
-    mount = tmp_path / "disk"
-    mount.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=40m", "tmpfs", str(mount)], capture_output=True)
-    if mounted.returncode:
-        pytest.skip("may not mount a disk here")
-    try:
-        training.run(config(), [0, 1], mount / "whole", env=env)
-        size = sum(path.stat().st_size for path in (mount / "whole").iterdir())
-        refused = 0
-        for room in range(0, 3 * size, size // 20):
-            folder, others = mount / "run", mount / "others"
-            free = os.statvfs(mount)
-            others.write_bytes(bytes(max(0, free.f_bavail * free.f_bsize - room)))
-            try:
-                training.run(config(), [0, 1], folder, (folder / "config.json").exists(), env=env)
-            except UserError as error:
-                refused += 1
-                assert "could not be written (No space left on device)" in str(error)
-            others.unlink()
-            training.run(config(), [0, 1], folder, (folder / "config.json").exists(), env=env)
-            for name in FILES:
-                assert (folder / name).read_bytes() == (mount / "whole" / name).read_bytes(), (room, name)
-            subprocess.run(["rm", "-r", str(folder)], check=True)
-        assert refused > 5
-    finally:
-        subprocess.run(["umount", str(mount)], check=True)

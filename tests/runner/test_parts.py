@@ -11,11 +11,11 @@ import sys
 import threading
 import time
 import types
-from pathlib import Path
 
 import hand_made
 import killed_run
 import pytest
+from killed_run import FILES, same_run
 from rich.console import Console
 from two_machines import cluster_of_two
 
@@ -30,7 +30,6 @@ from infogoal_jax.runner.parts import PARTS, Plan, jobs_of, read_plan, run_parts
 from infogoal_jax.runs import checkpoint, configuration, tables
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
-FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 CONFIG = hand_made.config("none", num_epochs=4, epochs_per_evaluation=2)
 LOG = "LOG_BEGUN"
 
@@ -52,11 +51,6 @@ def prepare_worker() -> None:
 @pytest.fixture(autouse=True)
 def small_program(monkeypatch):
     monkeypatch.setattr(training, "make_train", small_train)
-
-
-def same(first: Path, second: Path) -> bool:
-    """Whether two runs left the same bits in every file."""
-    return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
 
 
 @pytest.mark.parametrize("words", ["--lr 0.5", "--batch-size 8", "--env.radius 0.3", "--num-epochs 4"])
@@ -104,7 +98,7 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert read_plan(tmp_path / "sweep") == (CONFIG, plan)
     run_parts(CONFIG, plan, tmp_path / "sweep", resume=True, say=lambda words: None)
     for name in plan.names:
-        assert same(tmp_path / "sweep" / name, tmp_path / "whole" / name)
+        assert same_run(tmp_path / "sweep" / name, tmp_path / "whole" / name)
     assert not list((tmp_path / "sweep").rglob("*.lock")) and not list((tmp_path / "sweep").rglob(PARTS))
 
 
@@ -120,7 +114,7 @@ def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
         run_parts(CONFIG, plan, tmp_path / "run", say=lambda words: None)
     assert (tmp_path / "run" / PARTS / "1-1" / "policy").exists()
     run_parts(CONFIG, plan, tmp_path / "run", resume=True, say=lambda words: None)
-    assert same(tmp_path / "run", tmp_path / "whole")
+    assert same_run(tmp_path / "run", tmp_path / "whole")
     assert {path.name for path in (tmp_path / "run").iterdir()} == {*FILES, "timing.json"}
 
 
@@ -293,7 +287,7 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
     assert not killer.is_alive() and len(outcome.finished) == len(jobs_of(CONFIG, plan)) == 16
     assert len(set(outcome.finished)) == 16 and not outcome.stopped
     for name in plan.names:
-        assert same(folder / name, tmp_path / "alone" / name)
+        assert same_run(folder / name, tmp_path / "alone" / name)
         assert configuration.read(folder / name).seeds == list(range(12))
     times = collections.Counter(line.split()[0] for line in begun.read_text().splitlines())
     assert sum(times.values()) <= 16 + 2  # What the machine had, once more.

@@ -1,15 +1,11 @@
-"""A killed run goes on to the same bits; a checkpoint that is damaged or of another configuration is refused; nothing
-on disk is lost."""
+"""A run that was stopped goes on to the same bits; a checkpoint that is damaged or of another configuration is refused;
+nothing on disk is lost. Runs are killed in test_signals.py and in runs/test_folder.py."""
 
 import dataclasses
 import json
-import multiprocessing
 import os
-import random
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,14 +15,12 @@ import jax.numpy as jnp
 import killed_run
 import numpy as np
 import pytest
-from killed_run import small_config
+from killed_run import same_run, small_config
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, last_point
-
-FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
 
 @pytest.fixture(scope="module")
@@ -40,16 +34,9 @@ def small_program(monkeypatch):
     monkeypatch.setattr(training, "make_train", killed_run.small_train)
 
 
-def start(folder: Path, kind: str = "small") -> multiprocessing.Process:
-    """The run in a process of its own. small: of the small program; real: of InfoGoal's own, which is compiled once and
-    shared (conftest.py), so that kills hit the run and not the compiler."""
-    process, _ = killed_run.start(kind, folder)
-    return process
-
-
-def finish(folder: Path, kind: str = "small") -> Path:
-    """Run to the end. Returns the folder."""
-    process = start(folder, kind)
+def finish(folder: Path) -> Path:
+    """Run to the end in a process of its own. Returns the folder."""
+    process, _ = killed_run.start("small", folder)
     process.join()
     assert process.exitcode == 0
     return folder
@@ -59,37 +46,6 @@ def finish(folder: Path, kind: str = "small") -> Path:
 def uninterrupted(tmp_path_factory):
     """A run that was never killed."""
     return finish(tmp_path_factory.mktemp("whole") / "run")
-
-
-def same_run(first: Path, second: Path) -> bool:
-    """Whether two runs left the same bits in every file."""
-    return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
-
-
-def kill_and_resume(folder: Path, whole: Path, seconds: float, kills: int) -> None:
-    """Kill runs at random moments, going on after each; runs that finish are compared and followed by new ones, until
-    `kills` were killed. seconds: that a run takes with everything compiled."""
-    killed, runs, process = 0, 0, None
-    while killed < kills or process.exitcode != 0:
-        process, started = start(folder / str(runs), "real"), time.perf_counter()
-        process.join(random.uniform(0.4, 1.0) * seconds if killed < kills else None)
-        if process.is_alive():
-            process.kill()
-            process.join()
-            killed += 1
-        else:
-            assert process.exitcode == 0 and same_run(folder / str(runs), whole)
-            runs += 1
-            # The machine may be less busy than when the whole run was timed.
-            seconds = min(seconds, time.perf_counter() - started)
-
-
-@pytest.mark.long
-def test_killed_at_a_random_moment_it_ends_with_the_same_bits(tmp_path):
-    first = finish(tmp_path / "first", "real")
-    started = time.monotonic()
-    assert same_run(finish(tmp_path / "second", "real"), first)
-    kill_and_resume(tmp_path, first, time.monotonic() - started, kills=1)
 
 
 @pytest.mark.parametrize("looks_large", [False, pytest.param(True, marks=pytest.mark.long)])
@@ -256,7 +212,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_p
 
 
 def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
-    process = start(tmp_path / "run")
+    process, _ = killed_run.start("small", tmp_path / "run")
     while not (tmp_path / "run" / "checkpoint").exists():
         assert process.is_alive()
         time.sleep(0.02)
@@ -266,29 +222,6 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
     assert 2 <= reached <= 24 and process.exitcode == (0 if reached == 24 else killed_run.STOPPED)
     finish(tmp_path / "run")
     assert same_run(tmp_path / "run", uninterrupted)
-
-
-def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):
-    """With a limit on file sizes as the disk that refuses; in a process of its own, since the limit cannot be taken
-    back."""
-    (tmp_path / "checkpoint").write_bytes(b"old")
-    code = f"""
-import resource, signal, sys
-from pathlib import Path
-from infogoal_jax.errors import UserError
-from infogoal_jax.runs import disk
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-try:
-    disk.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
-except UserError as error:
-    print(error)
-"""
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "could not be written" in printed and "--resume" in printed
-    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"] and (
-        tmp_path / "checkpoint"
-    ).read_bytes() == b"old"
 
 
 def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):

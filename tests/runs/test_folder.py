@@ -182,15 +182,7 @@ def test_a_run_is_loaded_with_its_data_elsewhere(tmp_path, monkeypatch):
 
 
 FILES = {
-    "train": (
-        "checkpoint",
-        "policy",
-        "config.json",
-        "epochs.csv",
-        "epochs.jsonl",
-        "evaluations.csv",
-        "evaluations.jsonl",
-    ),
+    "train": killed_run.FILES,
     "tune": ("checkpoint", "config.json", "trials.jsonl"),
     "final": ("checkpoint", "config.json", "trials.jsonl"),
 }
