@@ -124,19 +124,3 @@ def test_a_batch_starts_its_next_episodes_with_goals_of_their_own(vector):
         starts += ended.sum()
         ended = terminated | truncated
     assert starts >= 3
-
-
-@pytest.mark.long
-def test_stable_baselines_trains_with_hindsight():
-    sb3 = pytest.importorskip("stable_baselines3")
-    model = sb3.SAC(
-        "MultiInputPolicy",
-        TaskGymnasium("point_maze", CONFIG),
-        replay_buffer_class=sb3.HerReplayBuffer,
-        learning_starts=50,
-        policy_kwargs={"net_arch": [16]},
-    )
-    model.learn(100)
-    batch = model.replay_buffer.sample(128)
-    apart = (batch.next_observations["achieved_goal"] - batch.next_observations["desired_goal"]).norm(dim=-1)
-    assert ((apart < 0.4) == (batch.rewards[:, 0] == 0)).all()
