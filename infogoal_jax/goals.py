@@ -431,10 +431,7 @@ def checked_corner(corner: Any, field: str, remedy: str) -> np.ndarray:
     corner = checks.array(corner, field, "numbers", ("D",), remedy)
     require(not checks.is_traced(corner), field, "a traced array", "a goal space is made of numbers that are known")
     require(0 < len(corner) <= LONGEST_GOAL, field, f"{len(corner)} numbers", f"give 1 to {LONGEST_GOAL}")
-    with np.errstate(over="ignore"):
-        corner = np.asarray(corner, np.float32)
-    require(np.isfinite(corner).all(), field, corner.tolist(), "give finite numbers that float32 holds")
-    return corner
+    return checks.as_float32(corner, field)
 
 
 def checked_use(use_of: Callable | None, goal: jax.ShapeDtypeStruct) -> None:

@@ -97,14 +97,9 @@ def traits_of(agent: Any) -> AgentTraits:
     return AgentTraits() if declared is None else declared(agent)
 
 
-def actions_of(agent: Any) -> str:
-    """What the agent of this configuration chooses, see `AgentTraits`."""
-    return traits_of(agent).actions
-
-
 def steers(agent: Any) -> bool:
     """Whether the actions of the agent of this configuration are target states for a low level."""
-    return actions_of(agent) == "target_states"
+    return traits_of(agent).actions == "target_states"
 
 
 def can_act(actions: str, traits: Traits) -> bool:
@@ -121,13 +116,15 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     elif dissimilar_by != "trajectory":
         reason = f"goals of {config.task} are a finite set, of which all dissimilar pairs are known"
         yield Refusal("learner.dissimilar_by", dissimilar_by, reason, "give trajectory")
-    if not can_act(actions_of(config.agent), traits):
+    if not can_act(traits_of(config.agent).actions, traits):
         reason = {
             "moves": f"this agent chooses among a few moves, and an action of {config.task} is a vector",
             "vectors": f"an action of this agent is a vector, and {config.task} has a few moves to choose from",
             "target_states": "there are no target states that a low level could be sent to",
-        }[actions_of(config.agent)]
-        fitting = [name for name, entry in agents.registry.items() if can_act(actions_of(entry.config()), traits)]
+        }[traits_of(config.agent).actions]
+        fitting = [
+            name for name, entry in agents.registry.items() if can_act(traits_of(entry.config()).actions, traits)
+        ]
         remedy = f"give {' or '.join(fitting)}" if fitting else "no registered agent can act there"
         yield Refusal("agent", agent, reason, remedy)
     yield from refusals_of_all_goals(config)
@@ -262,7 +259,7 @@ def refusals_of_explorer(explorer: str, agent: Any, traits: Traits) -> Iterator[
     """What speaks against a bonus, which is kept for every observation and move."""
     if traits.recorded:
         yield Refusal("explorer", explorer, "a bonus cannot explore what is recorded", "give none")
-    elif actions_of(agent) != "moves":
+    elif traits_of(agent).actions != "moves":
         yield Refusal("explorer", explorer, "actions are continuous", "its bonus is kept for each move; give none")
     if not traits.finite_observations:
         yield Refusal(

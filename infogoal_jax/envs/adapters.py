@@ -168,7 +168,7 @@ def from_brax(
     read_goal, told = layout.reader(goal, "goal")
     read_achieved, of_achieved = layout.reader(achieved, "achieved")
     goal_size, achieved_size = (
-        sizes_of(read, state, name) for read, name in ((read_goal, "goal"), (read_achieved, "achieved"))
+        checks.traced(name, read, state).shape[0] for name, read in (("goal", read_goal), ("achieved", read_achieved))
     )
     require(goal_size > 0, "goal", "no numbers", "give a function that returns at least one")
     require(goal_size == achieved_size, "achieved", achieved_size, f"give as many numbers as goal has, {goal_size}")
@@ -439,11 +439,6 @@ def copied(state: Any) -> Any:
 def without_types(state: Any) -> Any:
     """The shapes of a state alone: types are those of the first."""
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, jnp.float32), state)
-
-
-def sizes_of(read: Callable[[Any], jax.Array], state: Any, field: str) -> int:
-    """How many numbers are read of a state."""
-    return checks.traced(field, read, state).shape[0]
 
 
 def drawn_goals(task: AdaptedTask, count: int) -> np.ndarray:

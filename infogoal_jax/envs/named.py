@@ -5,13 +5,14 @@ task when it is asked for."""
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.goal_task import GoalTaskConfig, traits
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import nearest, require
+from infogoal_jax.field_types import Size, Within
 from infogoal_jax.registry import Entry
 
 FLAGS = "--env.goal 4 5 --env.achieved 0 1 --env.radius 0.1"
@@ -23,15 +24,10 @@ class LibraryConfig(GoalTaskConfig):
 
     id: str = ""
     """Of the environment, as its library has it."""
-    episode_length: int = 1000
+    episode_length: Size = 1000
     """Steps of an episode; at most those of the environment's own time limit, where it has one."""
-    radius: float = 0.0
+    radius: Annotated[float, Within("[0, inf)", "give a distance above 0, or 0 for the environment's own")] = 0.0
     """Distance below which a goal is reached; 0: the environment's own."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
-        require(self.radius >= 0, "env.radius", self.radius, "give a distance above 0, or 0 for the environment's own")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +42,7 @@ class NamedConfig(LibraryConfig):
     """Further places that tell of the goal; with `goal`."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
+        """Raise `UserError` for places that go with a goal alone."""
         require(bool(self.goal) == bool(self.achieved), "env.achieved", self.achieved, "goes with --env.goal")
         require(bool(self.goal) or not self.hidden, "env.hidden", self.hidden, "goes with --env.goal")
 

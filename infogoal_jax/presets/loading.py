@@ -301,8 +301,7 @@ def method_title(config: TrainConfig) -> str:
 
 def run_title(config: TrainConfig) -> str:
     """Task and method for people: `point_maze, none with her`."""
-    method = method_title(config)
-    return f"{config.task}, {method}"
+    return f"{config.task}, {method_title(config)}"
 
 
 def words_of(value: Any) -> list[str]:

@@ -49,9 +49,7 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         frozen=True,
     )
     config.__qualname__ = f"{Configurations.__name__}.{name}"
-    own = checked(config(), "env.")
-    if hasattr(own, "check"):
-        own.check(None)
+    checked(config(), "env.")
     check_contract(env)
 
     def make(config: GoalTaskConfig) -> GoalTask:
@@ -61,15 +59,10 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         recorded = bool(config.dataset) or env.recorded is not None
         return Traits(finite_goals=False, moves=env.discrete, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
-    preset = default_preset(env) if preset is None else preset
+    if preset is None:
+        words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
+        preset = dataclasses.replace(plane.preset(words, EPOCHS), agent="dqn" if env.discrete else "td3")
     check_preset(name, preset)  # Before anything is registered: a task without its preset would stay.
     envs.registry[name] = Entry(config, make, traits=traits)
     setattr(Configurations, name, config)
     registry[name] = preset
-
-
-def default_preset(env: GoalTask) -> Preset:
-    """The preset of a task that brings none."""
-    words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
-    preset = plane.preset(words, EPOCHS)
-    return dataclasses.replace(preset, agent="dqn" if env.discrete else "td3")

@@ -19,7 +19,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.field_types import Share
 from infogoal_jax.pairs import KnownGoals
 from infogoal_jax.relabelling import her
-from infogoal_jax.relabelling.relabelling import Context, Relabelling
+from infogoal_jax.relabelling.relabelling import Context, Relabelling, check_room
 
 VALUES_AT_ONCE = 256  # Episodes whose first observations and goals are encoded together; they may be images.
 
@@ -43,12 +43,7 @@ class GHRLConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for what does not go together."""
-        require(
-            self.share + self.random_share <= 1,
-            "relabelling.random_share",
-            self.random_share,
-            f"must leave room for share = {self.share}: together at most 1",
-        )
+        check_room("random_share", self.random_share, "share", self.share)
         require(
             self.choice == "best" or self.filter == "none",
             "relabelling.filter",

@@ -18,7 +18,7 @@ from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Share
 from infogoal_jax.goals import axes_of, is_goal, no_goals_like, select
-from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, check_room
 from infogoal_jax.replay import Trajectories
 
 
@@ -40,12 +40,7 @@ class HERConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for shares that are more than all."""
-        require(
-            self.future_share + self.random_share <= 1,
-            "relabelling.random_share",
-            self.random_share,
-            f"must leave room for future_share = {self.future_share}: together at most 1",
-        )
+        check_room("random_share", self.random_share, "future_share", self.future_share)
 
 
 @flax.struct.dataclass

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs
 from infogoal_jax.errors import require
-from infogoal_jax.field_types import Share
+from infogoal_jax.field_types import Count, Share
 from infogoal_jax.goals import is_goal, select
 from infogoal_jax.relabelling.her import any_known, any_of, future_goal, future_place
-from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints, check_room
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,15 +37,12 @@ class MixedConfig:
     datasets that have to be stitched."""
     actor_geometric: bool = False
     """As `geometric`, of the actor's goals."""
-    subgoal_steps: int = 0
+    subgoal_steps: Count = 0
     """Steps after which a state is a subgoal, for agent hiql; 0: none."""
 
     def check(self, config) -> None:
         """Raise `UserError` for shares that are more than all, and for returns of several steps."""
-        room = f"must leave room for current_share = {self.current_share}: together at most 1"
-        require(self.current_share + self.future_share <= 1, "relabelling.future_share", self.future_share, room)
-        remedy = "give 0 or more steps"
-        require(self.subgoal_steps >= 0, "relabelling.subgoal_steps", self.subgoal_steps, remedy)
+        check_room("future_share", self.future_share, "current_share", self.current_share)
         steps = getattr(config.agent, "num_steps", 1)
         require(steps == 1, "agent.num_steps", steps, "relabelling mixed counts the cost of one step; give 1")
 

@@ -12,8 +12,16 @@ from typing import Any, NamedTuple
 import flax.struct
 import jax
 
+from infogoal_jax.errors import require
 from infogoal_jax.pairs import AchievedGoals, KnownGoals
 from infogoal_jax.replay import Trajectories
+
+
+def check_room(field: str, share: float, other: str, taken: float) -> None:
+    """Raise `UserError` for a share of the transitions that, together with another one, is more than all."""
+    require(
+        share + taken <= 1, f"relabelling.{field}", share, f"must leave room for {other} = {taken}: together at most 1"
+    )
 
 
 @flax.struct.dataclass

@@ -71,24 +71,19 @@ def where_in_words(name: str, tasks: tuple[str, ...]) -> list[str]:
     return lines + [f"not with {', '.join(refused)}: {reason}" for reason, refused in reasons.items()]
 
 
-def method_list(tasks: tuple[str, ...]) -> Table:
-    """A row for each method: its name; what it is, what it is made of, and which tasks it goes together with."""
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(no_wrap=True, style="bold")
-    for name in presets.METHODS:
-        table.add_row(name, "\n".join([description(name), parts_in_words(name), *where_in_words(name, tasks), ""]))
-    return table
-
-
 def make_console() -> Console:
     """As wide as the terminal, but not wider than `WIDEST`."""
     return Console(width=min(Console().width, WIDEST))
 
 
 def print_methods(tasks: tuple[str, ...] = presets.TASKS) -> None:
-    """The list, and what else can be combined."""
-    console = make_console()
-    console.print(method_list(tasks), highlight=False)
+    """A row for each method: its name; what it is, what it is made of, and which tasks it goes together with. And what
+    else can be combined."""
+    console, table = make_console(), Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold")
+    for name in presets.METHODS:
+        table.add_row(name, "\n".join([description(name), parts_in_words(name), *where_in_words(name, tasks), ""]))
+    console.print(table, highlight=False)
     choices = {task: f"--agent {' | '.join(agents_of(task))}" for task in tasks}
     choices["every task"] = f"--relabelling {' | '.join(relabelling.registry)}"
     choices["where listed above"] = f"--explorer {' | '.join(exploration.registry)}"

@@ -13,7 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from infogoal_jax import learners
+from infogoal_jax import checks, learners
 from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import USES
@@ -284,18 +284,10 @@ def evaluate_run(
     """
     require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
     require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
-    require(
-        test_epsilon <= 1,
-        "test_epsilon",
-        test_epsilon,
-        "give a probability from 0 to 1, or a negative number for the run's own",
-    )
-    require(
-        corruption is None or 0 <= corruption <= 1,
-        "corruption",
-        corruption,
-        "give a weight from 0 to 1, for example 0.4",
-    )
+    remedy = "give a probability from 0 to 1, or a negative number for the run's own"
+    checks.number(test_epsilon, "test_epsilon", high=1, remedy=remedy)
+    if corruption is not None:
+        checks.number(corruption, "corruption", 0, 1, "give a weight from 0 to 1, for example 0.4")
     run, console = load_run(folder), console or Console()
     folder = run.folder
     train, diverged = make_train(run.config, env), diverged_seeds(folder)
