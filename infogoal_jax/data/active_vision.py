@@ -43,24 +43,19 @@ class Annotation(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class SearchScenes:
-    """S states (images) of one or more scenes and N objects.
-
-    Attributes:
-      images: uint8 [S, H, W], grey.
-      next_state: int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move.
-      visible: bool [S, N], whether the object is in clear view.
-      position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where
-        unknown.
-      scene: int32 [S], index into `scene_names`.
-      image_names, scene_names, object_names: S file names, scene folders, N object names.
-      source: what was read, in words, for reports.
-    """
+    """S states (images) of one or more scenes and N objects. The names are of files, of scene folders and of objects;
+    source: what was read, in words."""
 
     images: np.ndarray
+    """uint8 [S, H, W], grey."""
     next_state: np.ndarray
+    """int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move."""
     visible: np.ndarray
+    """bool [S, N], whether the object is in clear view."""
     position: np.ndarray
+    """float32 [S, 3], plan x and y (m) and heading (radians), counter-clockwise from x; NaN where unknown."""
     scene: np.ndarray
+    """int32 [S], index into `scene_names`."""
     image_names: tuple[str, ...]
     scene_names: tuple[str, ...]
     object_names: tuple[str, ...]
@@ -77,19 +72,13 @@ def load(
     max_difficulty: int = MAX_DIFFICULTY,
     cache_dir: str | os.PathLike | None = None,
 ) -> SearchScenes:
-    """Read scenes in the dataset's on-disk format.
+    """Read scenes in the dataset's on-disk format, from the folder of the scene folders and of the map of instances.
 
-    Args:
-      root: folder that holds the scene folders and `all_instance_id_map.txt` (or `instance_id_map.txt`).
-      objects: names of the objects that can be goals, as in that map; their order is that of `visible`.
-      scenes: names of scene folders; all that are found by default.
-      image_size: side of the grey images in pixels, 4 to 512.
-      min_box_size: least shorter side of a box in image heights, so that it means the same at every resolution.
-      max_difficulty: boxes of a higher annotated difficulty (1 easy to 5 hard) do not count.
-      cache_dir: folder of the cache, by default the user's (`archives.user_cache`). One file a scene.
-
-    Raises:
-      UserError: where an argument cannot be used, the dataset is incomplete, or no state shows one of the objects.
+    objects: names of those that can be goals, as in that map, in the order of `visible`. scenes: names of scene
+    folders; None: all. image_size: side of the grey images in pixels, 4 to 512. min_box_size: least shorter side of a
+    box in image heights. max_difficulty: boxes of a higher annotated difficulty (1 easy to 5 hard) do not count.
+    cache_dir: of a file a scene; None: the user's. Raises `UserError` where an argument cannot be used, the dataset is
+    incomplete, or no state shows one of the objects.
     """
     root, objects = Path(root), tuple(objects)
     if not SMALLEST_IMAGE <= image_size <= LARGEST_IMAGE:

