@@ -220,22 +220,18 @@ def test_a_fork_of_a_process_in_which_jax_runs_is_refused():
         gymnasium.vector.AsyncVectorEnv([make] * 2, context="fork")
 
 
-@pytest.mark.parametrize("goal", [True, 1.0, None, "nobody", -1, 8, 2**40, [1], np.array([1])], ids=repr)
-def test_what_is_no_goal_is_refused(rooms, goal):
-    with pytest.raises(UserError, match="goal"):
-        rooms.reset(options={"goal": goal})
-
-
-@pytest.mark.parametrize("options", [[], 1, "goal", {"goals": 1}, {1: 2}], ids=repr)
-def test_what_are_no_options_is_refused(rooms, options):
-    with pytest.raises(UserError, match="options"):
-        rooms.reset(options=options)
-
-
-@pytest.mark.parametrize("seed", [-1, 1.0, True, "1"], ids=repr)
-def test_what_is_no_seed_is_refused(rooms, seed):
-    with pytest.raises(UserError, match="seed"):
-        rooms.reset(seed=seed)
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("goal", [True, 1.0, None, "nobody", -1, 8, 2**40, [1], np.array([1])]),
+        ("options", [[], 1, "goal", {"goals": 1}, {1: 2}]),
+        ("seed", [-1, 1.0, True, "1"]),
+    ],
+)
+def test_what_no_episode_can_begin_with_is_named(rooms, name, values):
+    for value in values:
+        with pytest.raises(UserError, match=name):
+            rooms.reset(**{"options": {"goal": value}} if name == "goal" else {name: value})
 
 
 @pytest.mark.parametrize("action", [True, 1.0, None, "1", -1, 6, [1], np.array([1])], ids=repr)

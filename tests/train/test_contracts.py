@@ -75,35 +75,37 @@ def test_views_of_other_goals_or_starts_are_refused(states, shown):
 NO_GOALS = [True, [True], 1, 1.0, [1.0], [[1]], [], "nobody", ["train_0", "nobody"], [8], [-1], [2**32 + 1], [2**70]]
 NO_GOALS += [None, [None], {0}, {"a": 1}, np.ones(8, bool), np.ma.masked_array([1, 2], [True, False]), object(), b"1"]
 NO_GOALS += [np.array(["1"]), [[1], [2, 3]], np.array([1, 2], object), np.datetime64("2020-01-01"), ["train_0", 1]]
-
-
-@pytest.mark.parametrize("goals", NO_GOALS, ids=lambda value: type(value).__name__)
-def test_what_are_no_goals_is_refused(goals):
-    with pytest.raises(UserError, match="goals"):
-        scored(stay, ENV, goals)
-
-
 NO_GOAL = [True, np.True_, 1.0, 2**32 + 1, 2**70, -1, 8, None, [1], np.array([1]), "nobody", b"train_0", object(), {1}]
+NO_ENV = [None, "object_search", random_policy(ENV), object()]
+ODD = {
+    "goals": NO_GOALS,
+    "seed": [-1, 2**32, 1.0, True, None, "1", np.array([1])],
+    "starts": [0, -1, 1.0, True, None, "2", np.array([2])],
+    "env": NO_ENV,
+}
+ODD_OF_ROLLOUT = {
+    "goal": NO_GOAL,
+    "key": [0, None, jax.random.split(KEY), jnp.zeros(2), "key", np.zeros(2, np.uint32)],
+    "env": NO_ENV,
+}
 
 
-@pytest.mark.parametrize("goal", NO_GOAL, ids=lambda value: type(value).__name__)
-def test_what_is_no_goal_of_a_rollout_is_refused(goal):
-    with pytest.raises(UserError, match="goal"):
-        rollout(ENV, stay, goal, KEY)
+def each(odd: dict[str, list]):
+    """A test for each of these values."""
+    cases = [(name, value) for name, values in odd.items() for value in values]
+    return pytest.mark.parametrize(("name", "value"), cases, ids=lambda value: type(value).__name__)
 
 
-@pytest.mark.parametrize(
-    "seed", [-1, 2**32, 1.0, True, None, "1", np.array([1])], ids=lambda value: type(value).__name__
-)
-def test_what_is_no_seed_is_refused(seed):
-    with pytest.raises(UserError, match="seed"):
-        scored(stay, ENV, GOALS, seed=seed)
+@each(ODD)
+def test_what_cannot_be_evaluated_is_named(name, value):
+    with pytest.raises(UserError, match=name):
+        scored(**{"policy": stay, "env": ENV, "goals": GOALS, "starts": 2} | {name: value})
 
 
-@pytest.mark.parametrize("starts", [0, -1, 1.0, True, None, "2", np.array([2])], ids=lambda value: type(value).__name__)
-def test_what_are_no_starts_is_refused(starts):
-    with pytest.raises(UserError, match="starts"):
-        scored(stay, ENV, GOALS, starts)
+@each(ODD_OF_ROLLOUT)
+def test_what_is_no_episode_is_named(name, value):
+    with pytest.raises(UserError, match=name):
+        rollout(**{"env": ENV, "policy": stay, "goal": 0, "key": KEY} | {name: value})
 
 
 NO_POLICY = {
@@ -127,23 +129,3 @@ def test_what_is_no_policy_is_refused(name):
         scored(NO_POLICY[name], ENV, GOALS)
     with pytest.raises(UserError, match="policy"):
         jax.eval_shape(lambda: rollout(ENV, NO_POLICY[name], 0, KEY))
-
-
-@pytest.mark.parametrize(
-    "key",
-    [0, None, jax.random.split(KEY), jnp.zeros(2), "key", np.zeros(2, np.uint32)],
-    ids=lambda value: type(value).__name__,
-)
-def test_what_is_no_key_is_refused(key):
-    with pytest.raises(UserError, match="key"):
-        rollout(ENV, stay, 0, key)
-
-
-@pytest.mark.parametrize(
-    "env", [None, "object_search", random_policy(ENV), object()], ids=lambda value: type(value).__name__
-)
-def test_what_is_no_environment_is_refused(env):
-    with pytest.raises(UserError, match="env"):
-        scored(stay, env, GOALS)
-    with pytest.raises(UserError, match="env"):
-        rollout(env, stay, 0, KEY)
