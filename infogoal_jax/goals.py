@@ -133,7 +133,6 @@ class GoalSet:
 
     @property
     def num_goals(self) -> int:
-        """Number of goals N."""
         return len(self.names)
 
     @property
@@ -315,7 +314,6 @@ class GoalBox:
 
     @property
     def shape(self) -> tuple[int]:
-        """Of a goal: (D,)."""
         return self.low.shape[-1:]
 
     @property
@@ -375,7 +373,6 @@ class GoalBox:
 
     @property
     def num_cells(self) -> int:
-        """Number of cells."""
         return self.cells_per_axis ** self.shape[0]
 
     def cell_of(self, goals: jax.Array) -> jax.Array:

@@ -39,8 +39,6 @@ def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Arr
 
 
 def make(config: CQLConfig, env) -> Agent:
-    """The CQL agent for this configuration and environment."""
-
     def regulariser(values, batch, hyper):
         gap = conservative_gap(values, batch.action_mask, batch.action).mean()
         return hyper.conservative_weight * gap, {"conservative_gap": gap}

@@ -89,7 +89,6 @@ def traits(config: CRLConfig) -> AgentTraits:
 
 
 def make(config: CRLConfig, env) -> Agent:
-    """The contrastive agent for this configuration and environment."""
     actor = sac.Actor(config.hidden, env.action_size)
     phi, psi = (networks.MLP(config.hidden, config.size, config.layer_norm) for _ in range(2))
 

@@ -69,7 +69,6 @@ def td_loss(
 
 
 def make(config: DQNConfig, env) -> Agent:
-    """The DQN agent for this configuration and environment."""
     return value_agent(config, env)
 
 

@@ -37,7 +37,6 @@ class GCIQLHyperparameters(offline.ExpectileHyperparameters):
 
 
 def make(config: GCIQLConfig, env) -> Agent:
-    """The GCIQL agent for this configuration and environment."""
     actor, value = offline.make_actor(config, env.action_size), networks.GeluMLP(config.hidden, 1, config.layer_norm)
     critic = networks.TwinGeluMLP(config.hidden, 1, config.layer_norm)
 

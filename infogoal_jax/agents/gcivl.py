@@ -29,7 +29,6 @@ class GCIVLHyperparameters(offline.ExpectileHyperparameters):
 
 
 def make(config: GCIVLConfig, env) -> Agent:
-    """The GCIVL agent for this configuration and environment."""
     actor, value = (
         offline.make_actor(config, env.action_size),
         networks.TwinGeluMLP(config.hidden, 1, config.layer_norm),

@@ -56,7 +56,6 @@ def of_length(vectors: jax.Array) -> jax.Array:
 
 
 def make(config: HIQLConfig, env) -> Agent:
-    """The HIQL agent for this configuration and environment."""
     low, high = offline.make_actor(config, env.action_size), offline.make_actor(config, config.size)
     head = networks.TwinGeluMLP(config.hidden, 1, config.layer_norm)
     goals = networks.GeluMLP(config.hidden, config.size, config.layer_norm)

@@ -53,7 +53,6 @@ def binary_loss(logits: jax.Array) -> jax.Array:
 
 
 def make(config: OfflineCRLConfig, env) -> Agent:
-    """The contrastive agent for this configuration and environment."""
     actor = offline.make_actor(config, env.action_size)
     phi, psi = (networks.TwinGeluMLP(config.hidden, config.size, config.layer_norm) for _ in range(2))
 

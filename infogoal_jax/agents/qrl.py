@@ -77,7 +77,6 @@ def distance(mixture: jax.Array, first: jax.Array, second: jax.Array) -> jax.Arr
 
 
 def make(config: QRLConfig, env) -> Agent:
-    """The QRL agent for this configuration and environment."""
     actor = offline.make_actor(config, env.action_size)
     embed, dynamics = (networks.GeluMLP(config.hidden, config.size, config.layer_norm) for _ in range(2))
     shared = config.goals == "states"

@@ -148,7 +148,6 @@ def traits(config: SACConfig) -> AgentTraits:
 
 
 def make(config: SACConfig, env) -> Agent:
-    """The SAC agent for this configuration and environment."""
     actor, critic = Actor(config.hidden, env.action_size), td3.TwinCritic(config.hidden, config.layer_norm)
 
     def init(key, features, code):

@@ -315,7 +315,6 @@ def traits(config: TD3Config) -> AgentTraits:
 
 
 def make(config: TD3Config, env) -> Agent:
-    """The TD3 agent for this configuration and environment."""
     actor, critic = Actor(config.hidden, env.action_size), make_critic(config)
 
     def init(key, features, code):

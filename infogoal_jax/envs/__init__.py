@@ -28,7 +28,6 @@ def make_fetch(name: str, config: FetchConfig):
 
 
 def fetch_traits(config: FetchConfig) -> Traits:
-    """What a Fetch task can be combined with follows from these."""
     images = config.goals == "images"
     return Traits(
         finite_goals=images, image_goals=images, moves=False, target_states=images, ends_at_goal=config.ends_at_goal
@@ -43,7 +42,6 @@ def make_fetch_targets(name: str, config: TargetsConfig):
 
 
 def target_traits(config: TargetsConfig) -> Traits:
-    """What the target states of a Fetch task can be combined with follows from these."""
     return Traits(finite_goals=False, moves=False)
 
 

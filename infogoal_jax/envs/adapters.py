@@ -97,7 +97,6 @@ class AdaptedTask(GoalTask):
         return taken(self.shown, flat(world.obs))
 
     def achieved_goal(self, world: Any) -> jax.Array:
-        """The goal that is achieved."""
         return self.read_achieved(world)
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
@@ -110,7 +109,6 @@ class AdaptedTask(GoalTask):
         return observations[..., np.array(self.shown, np.int32)] if whole else observations
 
     def fails(self, world: Any) -> jax.Array:
-        """Whether the environment has set `done`."""
         return world.done > 0
 
     def is_finite(self, world: Any) -> jax.Array:

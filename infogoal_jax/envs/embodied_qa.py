@@ -91,7 +91,6 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
 
 
 def traits(config: EmbodiedQAConfig) -> Traits:
-    """What the task can be combined with follows from these."""
     return Traits(finite_observations=True, recorded=True)
 
 

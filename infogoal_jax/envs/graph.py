@@ -77,7 +77,6 @@ class GraphWalk(Environment):
 
     @property
     def action_size(self) -> int:
-        """Number of actions."""
         return self.next_node.shape[1]
 
     def reset(self, key: jax.Array) -> GraphState:

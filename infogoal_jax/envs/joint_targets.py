@@ -56,7 +56,6 @@ class JointTargets(GoalTask):
         return self.next_node.shape[1]
 
     def begin(self, key: jax.Array) -> jax.Array:
-        """Any image."""
         return jax.random.randint(key, (), 0, len(self.joints), jnp.int32)
 
     def reset(self, key: jax.Array) -> Episode:
@@ -78,7 +77,6 @@ class JointTargets(GoalTask):
         return self.episode(drawn.argmax().astype(jnp.int32), goal)
 
     def move(self, world: jax.Array, action: jax.Array) -> jax.Array:
-        """The image that the move leads to."""
         return self.next_node[world, action]
 
     def observation(self, world: jax.Array) -> jax.Array:
@@ -100,7 +98,6 @@ class JointTargets(GoalTask):
 
 
 def traits(config: JointTargetsConfig) -> Traits:
-    """What the task can be combined with follows from these."""
     return Traits(finite_goals=False)
 
 

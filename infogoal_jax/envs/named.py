@@ -107,7 +107,6 @@ def arguments_of(task: str, config: NamedConfig, known: dict[str, Any] | None) -
 
 
 def make_brax(config: BraxConfig) -> AdaptedTask:
-    """The environment of brax."""
     brax = adapters.imported("brax.envs", "pip install brax")
     names = sorted(brax._envs)
     require(config.id in names, "env.id", config.id, f"brax has no such environment.{nearest(config.id, names)}")

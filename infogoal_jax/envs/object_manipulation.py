@@ -122,7 +122,6 @@ class ObjectManipulation(GraphWalk):
         return JointSpace(self.joints.shape[1])
 
     def observe(self, state: GraphState) -> Posed:
-        """The stored observation."""
         return self.observe_frame(state.node)
 
     def observe_frame(self, frame: jax.Array) -> Posed:
@@ -233,7 +232,6 @@ def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
 
 
 def traits(config: ObjectManipulationConfig) -> Traits:
-    """What the task can be combined with follows from these."""
     images = not config.privileged
     return Traits(image_goals=images, target_states=True, goals_are_observations=images)
 

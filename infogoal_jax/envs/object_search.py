@@ -116,7 +116,6 @@ class RememberingSearch(ObjectSearch):
         return faded.at[self.cell[node]].set(HERE)
 
     def observe(self, state: RememberingState) -> Remembered:
-        """The stored observation."""
         return Remembered(state.node, state.visited)
 
     def node_of(self, observation: Remembered) -> jax.Array:
@@ -148,7 +147,6 @@ def cells_of(position: np.ndarray, scene: np.ndarray) -> np.ndarray:
 
 
 def traits(config: ObjectSearchConfig) -> Traits:
-    """What the task can be combined with follows from these."""
     return Traits(finite_observations=not config.memory)
 
 

@@ -102,11 +102,9 @@ class PointMaze(GoalTask):
         return place / (ROOMS / 2) - 1.0
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
-        """The place."""
         return (observation + 1.0) * (ROOMS / 2)
 
     def achieved_goal(self, place: jax.Array) -> jax.Array:
-        """The place."""
         return place
 
     def draw(self, state: Episode) -> jax.Array:
@@ -146,11 +144,9 @@ class Reacher(GoalTask):
     """What is simulated, in words."""
 
     def begin(self, key: jax.Array) -> jax.Array:
-        """Any angles."""
         return jax.random.uniform(key, (2,), jnp.float32, -jnp.pi, jnp.pi)
 
     def move(self, angles: jax.Array, action: jax.Array) -> jax.Array:
-        """The angles, turned."""
         return jnp.mod(angles + 0.2 * action + jnp.pi, 2 * jnp.pi) - jnp.pi
 
     def observation(self, angles: jax.Array) -> jax.Array:
@@ -158,7 +154,6 @@ class Reacher(GoalTask):
         return jnp.concatenate([jnp.sin(angles), jnp.cos(angles), self.achieved_goal(angles) / 2])
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
-        """The place of the tip."""
         return 2 * observation[4:]
 
     def achieved_goal(self, angles: jax.Array) -> jax.Array:
@@ -178,14 +173,12 @@ class Reacher(GoalTask):
 
 
 def make_maze(config: PlaneConfig) -> PointMaze:
-    """The maze."""
     use_of = use_of_place if config.held_out else None
     goals = GoalBox.of([0.0, 0.0], [float(ROOMS)] * 2, use_of=use_of)
     return recorded_in(PointMaze(goals, config.radius, config.episode_length, config.ends_at_goal), config.dataset)
 
 
 def make_reacher(config: PlaneConfig) -> Reacher:
-    """The task of the arm."""
     use_of = use_of_quarter if config.held_out else None
     goals = GoalBox.of([-2.0, -2.0], [2.0, 2.0], sampler=draw_in_reach, use_of=use_of)
     return recorded_in(Reacher(goals, config.radius, config.episode_length, config.ends_at_goal), config.dataset)

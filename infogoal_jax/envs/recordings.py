@@ -77,23 +77,18 @@ class RecordedTask(GoalTask):
     simulated = False
 
     def begin(self, key: jax.Array) -> jax.Array:
-        """A state between the corners of those recorded."""
         return self.goals.draw(key)
 
     def move(self, world: jax.Array, action: jax.Array) -> jax.Array:
-        """The same state."""
         return world
 
     def observation(self, world: jax.Array) -> jax.Array:
-        """The state."""
         return world
 
     def achieved_goal(self, world: jax.Array) -> jax.Array:
-        """The state."""
         return world
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
-        """The state."""
         return observation
 
 

@@ -47,7 +47,6 @@ class Cells:
 
     @property
     def count(self) -> int:
-        """Number of cells."""
         return int(np.prod(self.shape))
 
     def of(self, position: jax.Array) -> jax.Array:
@@ -156,7 +155,6 @@ class SubgoalEnv(Environment):
         return self.space.size
 
     def with_goals(self, goals: GoalSpace) -> "SubgoalEnv":
-        """The same task with another goal set."""
         return self.replace(env=self.env.with_goals(goals))
 
     def shortest_path(self, state: SubgoalState) -> jax.Array:
@@ -164,11 +162,9 @@ class SubgoalEnv(Environment):
         return self.env.shortest_path(state.inner)
 
     def reset(self, key: jax.Array) -> SubgoalState:
-        """A new episode."""
         return self._begin(self.env.reset(key))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> SubgoalState:
-        """A new episode for this goal."""
         return self._begin(self.env.reset_to(key, goal))
 
     def _begin(self, inner) -> SubgoalState:
@@ -186,9 +182,7 @@ class SubgoalEnv(Environment):
         return SubgoalState(inner=self.env.step(state.inner, self.low_level.act(observation, target)), target=target)
 
     def observe(self, state: SubgoalState) -> jax.Array:
-        """What is stored of the observation."""
         return self.env.observe(state.inner)
 
     def achieved(self, state: SubgoalState) -> jax.Array:
-        """The record of what was achieved."""
         return self.env.achieved(state.inner)

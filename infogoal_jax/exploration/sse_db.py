@@ -117,7 +117,6 @@ def discounted_returns(reward: jax.Array, valid: jax.Array, discount: jax.Array 
 
 
 def make(config: SSEDBConfig) -> Explorer:
-    """The explorer of this configuration."""
     transition = Transition(config.width, config.latent_size)
     projection = Projection(config.width, config.projection_size)
 

@@ -44,8 +44,6 @@ class CoGoalConfig(GoalEncoderConfig):
 
 
 def make(config: CoGoalConfig) -> Learner:
-    """The COGOAL learner for this configuration."""
-
     def loss(params, state, batch: LearnerBatch, hyper, key):
         """Minus the contrastive bound (Eq. 13 of InfoGoal with std = 0 and beta = 0), plus the penalty on the codes'
         norms."""

@@ -121,7 +121,6 @@ def code_spread(codes: jax.Array) -> jax.Array:
 
 
 def make(config: GCBConfig) -> Learner:
-    """The GCB learner for this configuration."""
     encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
     state_head = networks.MLP(config.paired_hidden, config.latent_size)
     paired = PairedEncoder(config.hidden, config.paired_hidden, config.latent_size, config.standardise_images)

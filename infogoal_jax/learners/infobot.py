@@ -63,7 +63,6 @@ def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Ar
 
 
 def make(config: InfoBotConfig) -> Learner:
-    """The InfoBot learner for this configuration."""
     kind = networks.GoalLayers if config.state_conditioned else networks.GaussianEncoder
     encoder = kind(config.hidden, config.latent_size, config.standardise_images)
     joint_encoder = networks.GaussianEncoder(config.hidden[-1:], config.latent_size)

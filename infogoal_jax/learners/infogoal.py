@@ -131,7 +131,6 @@ def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, thre
 
 
 def make(config: InfoGoalConfig) -> Learner:
-    """The InfoGoal learner for this configuration."""
     encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
     classifier = None
     if config.dissimilar_by == "classifier":

@@ -211,7 +211,6 @@ def relabel_shares(later_goal: Callable, share: float, random_share: float) -> C
 
 
 def make(config: HERConfig) -> Relabelling:
-    """HER."""
     prepare, later_goal = {
         "future": (lambda context: context.achievements, future_goal),
         "soon": (

@@ -45,7 +45,6 @@ class GifWriter:
         self.frames.append(Image.fromarray(np.ascontiguousarray(frame[..., ::-1])))
 
     def release(self) -> None:
-        """Write the file."""
         spread = self.frames[:: -(-len(self.frames) // 8)]
         palette = Image.fromarray(np.concatenate([np.asarray(frame) for frame in spread])).quantize(COLOURS)
         first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self.frames)

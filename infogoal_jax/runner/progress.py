@@ -127,7 +127,6 @@ class ProgressLine:
             self.name = ""
 
     def elapsed(self) -> str:
-        """Time since the start."""
         return clock(time.monotonic() - self.started)
 
     def phases_in_words(self) -> str:

@@ -254,7 +254,6 @@ class Scores(Callback):
         stop.advice = how_to_go_on(watch, result)
 
     def compiling(self, sweep: Sweep) -> None:
-        """Tell whoever waits."""
         if self.watch is not None:
             self.watch.compiling()
 

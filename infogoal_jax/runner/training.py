@@ -237,7 +237,6 @@ class RunFiles(Callback):
         self.saved_at = self.save_seconds = 0.0
 
     def compiling(self, sweep: Sweep) -> None:
-        """Tell whoever waits."""
         self.phase("compiling", self.epoch)
 
     def has_time(self, sweep: Sweep) -> bool:
