@@ -9,6 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+TOLERANCE = 1e-3
+"""Of orientations that are one, in radians."""
+
 
 def wrapped(angles: jax.Array) -> jax.Array:
     """Angles [...] in [-pi, pi), radians."""
@@ -58,10 +61,10 @@ def geodesic(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.arctan2(np.linalg.norm(twice_sine, axis=-1), np.trace(turn, axis1=-2, axis2=-1) - 1)
 
 
-def orientation_classes(rotation: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
+def orientation_classes(rotation: np.ndarray) -> np.ndarray:
     """Class of each orientation: [K, 3, 3] to int32 [K], numbered by first appearance.
 
-    Orientations less than half of `tolerance` (radians) apart always share a class, and so do chains of them; more than
+    Orientations less than half of `TOLERANCE` apart always share a class, and so do chains of them; more than
     1.5 of it apart, they share one only by a chain. SciPy is imported only now: it takes a quarter of a second.
     """
     from scipy.sparse import coo_array
@@ -70,7 +73,7 @@ def orientation_classes(rotation: np.ndarray, tolerance: float = 1e-3) -> np.nda
     from scipy.spatial.transform import Rotation
 
     quaternion = Rotation.from_matrix(np.asarray(rotation, np.float64)).as_quat()
-    reach = tolerance / 2  # an angle is twice the distance of its quaternions
+    reach = TOLERANCE / 2  # an angle is twice the distance of its quaternions
     # One of each crowd stands for all: an arm that stood still for a thousand frames would otherwise have half a
     # million pairs. What is in one cell is at most reach / 4 apart (the diagonal of four sides); across borders the
     # tree decides.

@@ -156,11 +156,11 @@ class Agent(NamedTuple):
     """Largest number of environment steps of a sampled transition."""
 
 
-def check_num_steps(agent: Any, config: Any) -> None:
-    """Raise `UserError` for an agent's configuration whose returns span no step, or more than an episode has."""
-    require(
-        0 < agent.num_steps <= config.env.episode_length,
-        "agent.num_steps",
-        agent.num_steps,
-        f"must lie between 1 and the episode length, {config.env.episode_length}",
-    )
+class OfSteps:
+    """A configuration of an agent whose returns span `num_steps` steps."""
+
+    def check(self, config: Any) -> None:
+        """Raise `UserError` for returns that span no step, or more than an episode has."""
+        longest = config.env.episode_length
+        remedy = f"must lie between 1 and the episode length, {longest}"
+        require(0 < self.num_steps <= longest, "agent.num_steps", self.num_steps, remedy)

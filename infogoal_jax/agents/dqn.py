@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_num_steps
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, OfSteps
 from infogoal_jax.field_types import Size, Sizes
 
 
 @dataclasses.dataclass(frozen=True)
-class DQNConfig:
+class DQNConfig(OfSteps):
     """Sizes and switches of DQN."""
 
     hidden: Sizes = (256, 256)
@@ -31,10 +31,6 @@ class DQNConfig:
     """Normalise what each ReLU of the head gets, as LEO's authors do (docs/research/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for returns that are longer than an episode."""
-        check_num_steps(self, config)
 
 
 def traits(config: DQNConfig) -> AgentTraits:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_num_steps, in_bounds
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, OfSteps, in_bounds
 from infogoal_jax.field_types import Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
@@ -32,7 +32,7 @@ TEMPERATURE = Number("(0, inf)", Search(1e-3, 1.0, "log", always=False))
 
 
 @dataclasses.dataclass(frozen=True)
-class SACConfig:
+class SACConfig(OfSteps):
     """Sizes and switches of SAC."""
 
     hidden: Sizes = (256, 256)
@@ -46,10 +46,6 @@ class SACConfig:
     bounded: bool = False
     """Keep targets between 0 and 1, without a worth of entropy: the actor's loss alone has it. Not for rewards other
     than 1 at the goal."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for returns that are longer than an episode."""
-        check_num_steps(self, config)
 
 
 @flax.struct.dataclass

@@ -17,13 +17,13 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_num_steps, in_bounds
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, OfSteps, in_bounds
 from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 
 @dataclasses.dataclass(frozen=True)
-class TD3Config:
+class TD3Config(OfSteps):
     """Sizes and switches of TD3."""
 
     hidden: Sizes = (256, 256)
@@ -44,10 +44,6 @@ class TD3Config:
     at the goal."""
     behaviour: bool = False
     """Keep the actor near the actions of the data, for recorded episodes (TD3+BC, Fujimoto & Gu 2021)."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for returns that are longer than an episode."""
-        check_num_steps(self, config)
 
 
 @flax.struct.dataclass

@@ -150,10 +150,8 @@ def drawn(env: Environment, state: Any) -> jax.Array:
     return env.draw(state)
 
 
-@jax.jit
-def start_all(env: Environment, keys: jax.Array, goals: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
-    """`start` for a batch."""
-    return jax.vmap(start, in_axes=(None, 0, 0))(env, keys, goals)
+start_all = jax.jit(jax.vmap(start, in_axes=(None, 0, 0)))
+"""`start` for a batch."""
 
 
 @jax.jit

@@ -9,6 +9,7 @@ import os
 import tarfile
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -183,33 +184,6 @@ def _read_batch(file: Path) -> np.ndarray:
     return records[:, 1:].reshape(-1, 3, CROP_SIZE, CROP_SIZE).transpose(0, 2, 3, 1)
 
 
-class DownloadBar:
-    """What pooch asks of a progress bar (`total`, `update`, `reset`, `close`), drawn by rich."""
-
-    def __init__(self, progress, name: str):
-        self._progress, self._task = progress, progress.add_task(name, total=None)
-
-    @property
-    def total(self) -> int | None:
-        """Bytes of the whole file; 0 or None where the server does not say."""
-        return self._progress.tasks[self._task].total
-
-    @total.setter
-    def total(self, size: int | None) -> None:
-        self._progress.update(self._task, total=size or None)
-
-    def update(self, size: int) -> None:
-        """`size` more bytes are here."""
-        self._progress.advance(self._task, size)
-
-    def reset(self) -> None:
-        """Back to no bytes; pooch then adds the true total at once."""
-        self._progress.update(self._task, completed=0)
-
-    def close(self) -> None:
-        """Nothing to do: the caller owns the display."""
-
-
 def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha256: str = CIFAR10_SHA256) -> Path:
     """Download CIFAR-10 (170 MB) into the folder `path`, by default the cache, and unpack it; the folder of its
     batches.
@@ -238,21 +212,31 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
     return batches
 
 
-def _download(url: str, folder: Path, sha256: str) -> Path:
-    """The six batches of the archive, which is checked and unpacked in the folder."""
-    import pooch
+def stream(url: str, file: str, asked_by: Any) -> None:
+    """Download a file with a bar, as pooch asks for it. Raises `requests.RequestException`."""
     import requests
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
+    columns = (TextColumn(ARCHIVE), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    with requests.get(url, stream=True, timeout=30) as answer, open(file, "wb") as archive:
+        answer.raise_for_status()
+        size = int(answer.headers.get("content-length", 0)) or None  # A server need not say it.
+        with Progress(*columns, console=Console(stderr=True)) as progress:
+            task = progress.add_task("", total=size)
+            for part in answer.iter_content(1 << 16):
+                progress.advance(task, archive.write(part))
+
+
+def _download(url: str, folder: Path, sha256: str) -> Path:
+    """The six batches of the archive, which is checked and unpacked in the folder."""
+    import pooch
+    import requests
+
     pooch.get_logger().setLevel("WARNING")
-    words = TextColumn("{task.description}")
-    columns = (words, BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
     batches = pooch.Untar([f"{CIFAR10_FOLDER}/{name}" for name in (*TRAIN_BATCHES, *TEST_BATCHES)], ".")
     try:
-        with Progress(*columns, console=Console(stderr=True)) as progress:
-            download = pooch.HTTPDownloader(progressbar=DownloadBar(progress, ARCHIVE), chunk_size=1 << 16)
-            pooch.retrieve(url, f"sha256:{sha256}", ARCHIVE, folder, batches, download)
+        pooch.retrieve(url, f"sha256:{sha256}", ARCHIVE, folder, batches, stream)
     except requests.RequestException as error:
         raise UserError(
             f"url = {url!r}: the download of {ARCHIVE} broke off, nothing was kept: {error}. "

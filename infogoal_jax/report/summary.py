@@ -145,9 +145,9 @@ def goals_in_words(goals: int, starts: int) -> str:
     return f"{counted(goals, 'goal')} x {counted(starts, 'start')}"
 
 
-def print_summary(sweep: training.RunResult, console: Console | None = None) -> None:
+def print_summary(sweep: training.RunResult) -> None:
     """Print what a run of the host loop came to."""
-    show(load_run(sweep.folder), sweep.diverged, console or Console())
+    show(load_run(sweep.folder), sweep.diverged, Console())
 
 
 def print_run(folder: Path, console: Console | None = None) -> None:

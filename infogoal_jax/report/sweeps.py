@@ -89,13 +89,13 @@ def sweep(
     return SweepResult(Path(folder), plan)
 
 
-def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> None:
+def print_sweep(folder: Path, plan: Plan) -> None:
     """Print success at the last evaluation of each setting, mean and 95 % interval over seeds; of a single run what is
     always printed of one."""
     if plan.settings == [{}]:
         print_run(folder)
         return
-    console, result = console or Console(), SweepResult(folder, plan)
+    console, result = Console(), SweepResult(folder, plan)
     names = list(plan.settings[0])
     rows = []
     for run, setting in zip(result.folders.values(), plan.settings, strict=True):

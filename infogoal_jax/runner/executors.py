@@ -144,14 +144,14 @@ def end(job: Job, folder: Path, outcome: Outcome) -> None:
     job.tidy(folder)
 
 
-def run_in_processes(arguments: list[str], processes: int, gpus: int, say: Callable | None = None) -> list[int]:
+def run_in_processes(arguments: list[str], processes: int, gpus: int) -> list[int]:
     """Run `infogoal ARGUMENTS`, which works on a folder, in so many processes. What they print is printed, with the
     number of the process. Returns their exit statuses.
 
     gpus: how many, over which processes are spread; 0: leave devices as they are. A signal is handed on: each process
     stops after its evaluation.
     """
-    children, readers, say = [], [], say or functools.partial(progress.say, Console())
+    children, readers, say = [], [], functools.partial(progress.say, Console())
     if take_turns(processes, gpus):
         say(f"infogoal: processes on one GPU take turns; start `{MPS} -d` before, and they compute at the same time")
     with stop_on_signal() as stop:

@@ -167,28 +167,23 @@ def hyper_of(values: Any, base: Hyperparameters, place: Place) -> Hyperparameter
 
 @dataclasses.dataclass(frozen=True)
 class Written:
-    """The fields of config.json."""
+    """The fields of config.json. data: what the dataset was, in words (a stand-in is called one); versions: of this
+    package, jax, numpy and Python; device: its kind; imports: SHA-256 of each file of `--import` that it was made with,
+    by its name."""
 
-    config: dict[str, Any]
-    seeds: list[int]
-    data: str
-    versions: dict[str, str]
-    device: str
-    imports: dict[str, str] = dataclasses.field(default_factory=dict)
-
-
-@dataclasses.dataclass(frozen=True)
-class Description:
-    """What a run is of. data: what the dataset was, in words (a stand-in is called one); versions: of this package,
-    jax, numpy and Python; device: its kind; imports: SHA-256 of each file of `--import` that it was made with, by its
-    name."""
-
-    config: TrainConfig
+    config: Any
     seeds: list[int]
     data: str
     versions: dict[str, str]
     device: str
     imports: dict[str, str] = dataclasses.field(default_factory=dict, kw_only=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Description(Written):
+    """What a run is of: the fields of its config.json, with its `TrainConfig`."""
+
+    config: TrainConfig
 
     def values(self) -> dict[str, Any]:
         """The description as JSON values."""
@@ -253,5 +248,4 @@ def from_values(values: Any, place: Place) -> Description:
         raise place.wrong("seeds", written.seeds, "should be different numbers")
     if min(written.seeds) < 0 or max(written.seeds) >= MOST_SEEDS:
         raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {MOST_SEEDS}")
-    config = made_with(written.imports, written.config, place)
-    return Description(config, written.seeds, written.data, written.versions, written.device, imports=written.imports)
+    return Description(**vars(written) | {"config": made_with(written.imports, written.config, place)})

@@ -8,7 +8,6 @@ import tempfile
 import threading
 from pathlib import Path
 
-import pooch
 import pytest
 from hand_made_frames import BATCHES, write_cifar10
 
@@ -94,20 +93,18 @@ def test_a_download_that_breaks_off_leaves_nothing(tmp_path, server, capsys, pag
 
 
 def test_a_download_that_the_user_stops_leaves_nothing(tmp_path, monkeypatch):
-    def stopped(self, url, file, *others):
+    def stopped(url, file, *others):
         Path(file).write_bytes(b"the first bytes")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pooch.HTTPDownloader, "__call__", stopped)
+    monkeypatch.setattr(backgrounds, "stream", stopped)
     with pytest.raises(KeyboardInterrupt):
         backgrounds.download_cifar10(tmp_path / "place")
     assert not list(tmp_path.iterdir())
 
 
 def test_an_archive_of_something_else_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        pooch.HTTPDownloader, "__call__", lambda self, url, file, *others: Path(file).write_bytes(b"no archive")
-    )
+    monkeypatch.setattr(backgrounds, "stream", lambda url, file, *others: Path(file).write_bytes(b"no archive"))
     with pytest.raises(UserError, match="not the archive of CIFAR-10's binary version"):
         backgrounds.download_cifar10(tmp_path / "place", sha256=hashlib.sha256(b"no archive").hexdigest())
     assert not list(tmp_path.iterdir())
