@@ -163,6 +163,19 @@ def untrained(train: Train) -> Train:
     return dataclasses.replace(train, epochs=epochs)
 
 
+def plain(tree):
+    """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
+    is_key = jax.dtypes.prng_key
+    return jax.tree.map(
+        lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree
+    )
+
+
+def assert_same_bits(first, second) -> None:
+    """Of two pytrees."""
+    jax.tree.map(np.testing.assert_array_equal, plain(first), plain(second))
+
+
 def leave_out_updates(patch) -> None:
     """Let what runs while this `MonkeyPatch` holds be `untrained`."""
     make_train = training.make_train

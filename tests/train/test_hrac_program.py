@@ -3,6 +3,7 @@ small."""
 
 import dataclasses
 
+import hand_made
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -48,14 +49,6 @@ def sweep(program):
     return run(train.config.hyper)
 
 
-def plain(tree):
-    """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
-    is_key = jax.dtypes.prng_key
-    return jax.tree.map(
-        lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree
-    )
-
-
 def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
     for name, values in {**sweep.metrics, **sweep.epochs}.items():
         assert np.isfinite(values).all(), name
@@ -88,7 +81,7 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
 def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_run_without_compiling(program, sweep):
     """The compiled programs take any; a seed with a learning rate of its own is in test_training.py."""
     train, run = program
-    jax.tree.map(np.testing.assert_array_equal, plain(run(train.config.hyper)), plain(sweep))
+    hand_made.assert_same_bits(run(train.config.hyper), sweep)
     changed = run(train.config.hyper.replace(discount=0.5, noise=0.4))
     assert (changed.epochs["agent/loss"] != sweep.epochs["agent/loss"]).any(1).all()
     assert len({row.tobytes() for row in np.asarray(sweep.epochs["agent/loss"])}) == 2

@@ -9,12 +9,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hand_made import assert_same_bits, plain
 
 from infogoal_jax import Hyperparameters, UserError, make_train, pairs, replay
 from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.runner.listeners import print_success
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.sampling import sample_pairs
+
+LONG = {
+    "num_epochs": 40,
+    "epochs_per_evaluation": 40,
+    "updates_per_epoch": 50,
+    "batch_size": 64,
+    "buffer_steps": 12_800,
+    "evaluation_starts": 10,
+}
 
 
 @pytest.fixture(scope="module")
@@ -63,18 +73,6 @@ def test_floats_are_those_of_the_part_that_the_configuration_is_of():
         UserError, match=r"hyper.learner = 'NoHyperparameters'.*'infogoal' needs InfoGoalHyperparameters"
     ):
         train(jax.random.key(0), Hyperparameters(discount=0.9))
-
-
-def plain(tree):
-    """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
-    is_key = jax.dtypes.prng_key
-    return jax.tree.map(
-        lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree
-    )
-
-
-def assert_same_bits(first, second):
-    jax.tree.map(np.testing.assert_array_equal, plain(first), plain(second))
 
 
 def test_metrics_have_an_axis_of_seeds_and_one_of_evaluations(train, sweep):
@@ -178,15 +176,7 @@ def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(t
 def test_learns_the_hand_made_rooms(known_goals):
     """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it
     nothing to know the others by."""
-    long = {
-        "num_epochs": 40,
-        "epochs_per_evaluation": 40,
-        "updates_per_epoch": 50,
-        "batch_size": 64,
-        "buffer_steps": 12_800,
-        "evaluation_starts": 10,
-    }
-    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **long), hand_made.environment()))(
+    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **LONG), hand_made.environment()))(
         jax.random.key(0)
     )
     assert result.metrics["train_goal/success_rate"][-1] >= 0.85
@@ -199,15 +189,7 @@ def test_learns_the_hand_made_rooms(known_goals):
 @pytest.mark.long
 def test_bare_dqn_learns_its_training_goals_only():
     """On the mean of seeds that differ by some 0.07 from one another."""
-    long = {
-        "num_epochs": 40,
-        "epochs_per_evaluation": 40,
-        "updates_per_epoch": 50,
-        "batch_size": 64,
-        "buffer_steps": 12_800,
-        "evaluation_starts": 10,
-    }
-    train = make_train(hand_made.config("none", **long), hand_made.environment())
+    train = make_train(hand_made.config("none", **LONG), hand_made.environment())
     metrics = jax.jit(jax.vmap(train))(jax.random.split(jax.random.key(0), 16)).metrics
     assert metrics["train_goal/success_rate"][:, -1].mean() >= 0.85
     assert metrics["test_goal/success_rate"][:, -1].mean() < 0.6
