@@ -30,6 +30,7 @@ from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import Scores, evaluate, random_policy
+from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.program import Train
 
 ROOMS, DEPTH = 4, 3
@@ -237,9 +238,16 @@ ROWS, STEPS, GOALS = 6, 12, 9
 def rows_of(valid, achieved) -> Trajectories:
     """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too;
     goal 0 is desired."""
-    valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved, jnp.int32)
+    valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved)
     zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
     return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
+
+
+def experience(rows: Trajectories, achieved, known, dissimilarity=None, **changes) -> Experience:
+    """What updates sample from, of which the steps `achieved` [R, T + 1] achieve a known goal."""
+    decisions = replay.running_count(rows.valid & rows.decided)
+    fields = {"dissimilarity": dissimilarity, "codes": None} | changes
+    return Experience(rows, decisions, achieved, replay.running_count(achieved), known, **fields)
 
 
 def random_rows(several: int = 1) -> Trajectories:

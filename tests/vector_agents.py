@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from infogoal_jax.agents import registry
 from infogoal_jax.agents.agent import ActorGoals, Agent, AgentBatch, Exploration
 
 B, F, D, A = 16, 5, 3, 2
@@ -18,9 +19,10 @@ UPDATES = 400
 GREEDY = Exploration(0.0, 0.0)
 
 
-def env(action_size: int = A):
-    """As much of an environment as an agent for vectors reads."""
-    return SimpleNamespace(action_size=action_size)
+def agent_of(name: str, action_size: int = A, **changes) -> Agent:
+    """An agent of small networks."""
+    entry = registry.entry(name)
+    return entry.make(entry.config(**({"hidden": (8, 8)} | changes)), SimpleNamespace(action_size=action_size))
 
 
 def random_batch(seed: int = 0, **changes) -> AgentBatch:

@@ -5,19 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import vector_agents
 from scipy.special import logsumexp
-from vector_agents import B, joined, mlp, random_batch, started
+from vector_agents import B, agent_of, joined, mlp, random_batch, started, success_on_the_line
 
-from infogoal_jax import agents, presets
+from infogoal_jax import presets
 from infogoal_jax.agents import crl
 from infogoal_jax.loading import reasons_against, remarks
 from infogoal_jax.relabelling.her import HERConfig
-
-
-def agent_of(action_size=vector_agents.A, **changes):
-    config = crl.CRLConfig(**({"hidden": (8, 8)} | changes))
-    return agents.registry.entry("crl").make(config, vector_agents.env(action_size))
 
 
 def energy(kind, first, second):
@@ -31,7 +25,7 @@ def energy(kind, first, second):
 def test_losses_of_an_update_are_those_of_jaxgcrl(kind):
     """Its definitions: energies of all pairs, symmetric InfoNCE, the penalty on rows, and the actor's log density with
     its own small constant; on random parameters."""
-    agent, batch, key = agent_of(energy=kind), random_batch(), jax.random.key(4)
+    agent, batch, key = agent_of("crl", energy=kind), random_batch(), jax.random.key(4)
     params, state = started(agent, 7)
     hyper = crl.CRLHyperparameters(logsumexp_weight=0.1, target_entropy=-0.5, initial_temperature=0.3)
     total, metrics = jax.jit(agent.loss)(params, None, batch, state, hyper, key)
@@ -79,8 +73,8 @@ def test_equal_representations_have_a_finite_gradient():
 @pytest.mark.long
 def test_learns_where_to_go_on_a_line():
     """From goals that were reached alone."""
-    agent = agent_of(1, hidden=(32, 32), size=16)
-    assert vector_agents.success_on_the_line(agent, crl.CRLHyperparameters(), 1.0)[1] > 0.95
+    agent = agent_of("crl", 1, hidden=(32, 32), size=16)
+    assert success_on_the_line(agent, crl.CRLHyperparameters(), 1.0)[1] > 0.95
 
 
 def fields(**parts) -> set[str]:

@@ -3,6 +3,7 @@ loss trains which network, and the targets of the critics."""
 
 import dataclasses
 
+import hand_made
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,6 @@ from infogoal_jax.envs.target_states import Cells
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
-from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Networks, Setup
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.sampling import with_rewards
@@ -124,17 +124,9 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     """Eq. 5 and Eq. 16 over the steps of an interval; nothing after the end of an episode counts, and only termination
     ends what follows."""
     env, parts = train.env, train.parts
-    everything = jnp.ones(env.goals.num_goals, bool)
+    everything = pairs.KnownGoals(jnp.ones(env.goals.num_goals, bool))
     codes = GoalCode(jax.random.normal(jax.random.key(1), (env.goals.num_goals, 4)), jnp.ones((env.goals.num_goals, 4)))
-    experience = Experience(
-        buffer=rows,
-        decision_count=replay.running_count(rows.valid & rows.decided),
-        achieved=None,
-        achieved_count=None,
-        known=pairs.KnownGoals(everything),
-        dissimilarity=None,
-        codes=codes,
-    )
+    experience = hand_made.experience(rows, rows.record == 0, everything, codes=codes)
     row, first = (index.astype(np.int32) for index in np.nonzero(np.asarray(rows.valid) & np.asarray(rows.decided)))
     batch = jax.jit(lambda rows: replay.transitions_at(rows, row, first, parts.agent.num_steps))(rows)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)

@@ -129,8 +129,8 @@ def with_waypoints(given: AgentBatch, batch: dict) -> AgentBatch:
 
 
 def agent_of(name: str, action_size: int = vector_agents.A, **changes):
-    entry = agents.registry.entry(name)
-    return entry.make(entry.config(**({"hidden": (16, 16)} | changes)), vector_agents.env(action_size)), entry
+    sizes = {"hidden": (16, 16)} | changes
+    return vector_agents.agent_of(name, action_size, **sizes), agents.registry.entry(name)
 
 
 @pytest.mark.parametrize(

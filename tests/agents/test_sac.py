@@ -7,16 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import vector_agents
-from vector_agents import GREEDY, A, joined, mlp, random_batch, started, twin, varied
+from vector_agents import GREEDY, A, agent_of, joined, mlp, random_batch, started, success_on_the_line, twin, varied
 
-from infogoal_jax import agents
 from infogoal_jax.agents import sac
 from infogoal_jax.agents.agent import Exploration
-
-
-def agent_of(**changes):
-    return agents.registry.entry("sac").make(sac.SACConfig(hidden=(8, 8), **changes), vector_agents.env())
 
 
 def normal_cdf(value: np.ndarray) -> np.ndarray:
@@ -62,7 +56,7 @@ def test_actions_at_the_edge_have_a_finite_density_and_gradient():
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """The trained actor draws what follows, the smaller target critic values it; entropy is worth its temperature in
     targets that have no bounds."""
-    agent, batch = agent_of(layer_norm=True, huber=False, bounded=bounded), random_batch()
+    agent, batch = agent_of("sac", layer_norm=True, huber=False, bounded=bounded), random_batch()
     batch = batch.replace(largest_value=largest)
     params, state = started(agent)
     params, target_params = params | {"log_temperature": jnp.float32(0.4)}, varied(params, 1)
@@ -86,7 +80,7 @@ def test_loss_is_that_of_the_formulas(bounded, largest):
 
 @pytest.mark.parametrize(("target", "rises"), [(0.69, True), (-20.0, False)])
 def test_temperature_rises_where_entropy_is_below_its_target(target, rises):
-    agent, batch = agent_of(), random_batch()
+    agent, batch = agent_of("sac"), random_batch()
     params, state = started(agent)
     hyper = sac.SACHyperparameters(target_entropy=target)
     loss = lambda own: agent.loss(own, params, batch, state, hyper, jax.random.key(0))[0]  # noqa: E731
@@ -97,7 +91,7 @@ def test_temperature_rises_where_entropy_is_below_its_target(target, rises):
 def test_policy_is_drawn_from_unless_there_is_no_noise():
     """Without noise an action is tanh(mean) under every key; with it the spread is the policy's own, however much noise
     is asked for; with probability epsilon an action is uniform."""
-    agent, batch = agent_of(), random_batch()
+    agent, batch = agent_of("sac"), random_batch()
     params, _ = started(agent)
     act = jax.jit(agent.act)
 
@@ -120,7 +114,5 @@ def test_policy_is_drawn_from_unless_there_is_no_noise():
 @pytest.mark.long
 @pytest.mark.parametrize("bounded", [False, True])
 def test_learns_where_to_go_on_a_line(bounded):
-    agent = agents.registry.entry("sac").make(
-        sac.SACConfig(hidden=(32, 32), layer_norm=True, bounded=bounded), vector_agents.env(1)
-    )
-    assert vector_agents.success_on_the_line(agent, sac.SACHyperparameters(), 0.8)[1] > 0.95
+    agent = agent_of("sac", 1, hidden=(32, 32), layer_norm=True, bounded=bounded)
+    assert success_on_the_line(agent, sac.SACHyperparameters(), 0.8)[1] > 0.95

@@ -4,16 +4,10 @@ learns."""
 import jax
 import numpy as np
 import pytest
-import vector_agents
-from vector_agents import GREEDY, A, B, joined, mlp, random_batch, started, twin, varied
+from vector_agents import GREEDY, A, B, agent_of, joined, mlp, random_batch, started, success_on_the_line, twin, varied
 
-from infogoal_jax import agents
 from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import Exploration
-
-
-def agent_of(**changes):
-    return agents.registry.entry("td3").make(td3.TD3Config(hidden=(8, 8), **changes), vector_agents.env())
 
 
 @pytest.mark.parametrize(
@@ -22,7 +16,7 @@ def agent_of(**changes):
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """Without target noise: the smaller of the target critics sets one target for both (Eq. 10), between 0 and the
     largest value if it is bounded; the actor climbs the first critic and pays for large actions."""
-    agent, batch = agent_of(layer_norm=True, huber=False, bounded=bounded), random_batch()
+    agent, batch = agent_of("td3", layer_norm=True, huber=False, bounded=bounded), random_batch()
     batch = batch.replace(reward=3.0 * (batch.reward - 0.5), largest_value=largest)
     params, state = started(agent)
     target_params, hyper = varied(params, 1), td3.TD3Hyperparameters(target_noise=0.0, action_cost=0.7)
@@ -47,7 +41,7 @@ def test_loss_is_that_of_the_formulas(bounded, largest):
 
 @pytest.mark.parametrize("critic", ["concatenated", "product"])
 def test_noise_and_chance_alone_lead_away_from_the_best_action(critic):
-    agent, batch = agent_of(critic=critic, bounded=critic == "product"), random_batch()
+    agent, batch = agent_of("td3", critic=critic, bounded=critic == "product"), random_batch()
     params, _ = started(agent)
     take = jax.jit(agent.act)
 
@@ -65,8 +59,6 @@ def test_noise_and_chance_alone_lead_away_from_the_best_action(critic):
 @pytest.mark.long
 def test_learns_where_to_go_on_a_line():
     """Before it has learned it gets to few places."""
-    agent = agents.registry.entry("td3").make(
-        td3.TD3Config(hidden=(32, 32), layer_norm=True, bounded=True), vector_agents.env(1)
-    )
-    before, after = vector_agents.success_on_the_line(agent, td3.TD3Hyperparameters(), 0.8)
+    agent = agent_of("td3", 1, hidden=(32, 32), layer_norm=True, bounded=True)
+    before, after = success_on_the_line(agent, td3.TD3Hyperparameters(), 0.8)
     assert before < 0.6 and after > 0.95

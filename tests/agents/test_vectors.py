@@ -22,7 +22,7 @@ def test_critics_and_encoders_learn_from_the_critics_loss_alone(name):
     """Their gradient is the same whatever the actor does, and whatever actions cost or entropy is worth, where nothing
     follows. Everything has a gradient."""
     entry = agents.registry.entry(name)
-    agent, batch = entry.make(entry.config(hidden=(8, 8)), vector_agents.env()), random_batch(discount=jnp.zeros(B))
+    agent, batch = vector_agents.agent_of(name), random_batch(discount=jnp.zeros(B))
     params, state = started(agent)
     cost = "action_cost" if name == "td3" else "initial_temperature"
 

@@ -11,13 +11,12 @@ import numpy as np
 import optax
 import pytest
 
-from infogoal_jax import make_train, pairs, replay
+from infogoal_jax import make_train, pairs
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import cogoal
 from infogoal_jax.learners.learner import GoalCode, SampleSpec
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.sampling import sample_pairs
@@ -159,30 +158,10 @@ def experience(known: np.ndarray) -> Experience:
         row_group[:, None] + GROUPS * generator.integers(0, SIZE, (len(row_group), STEPS + 1)), jnp.int32
     )
     record = jnp.where(record == UNKNOWN, row_group[:, None], record)
-    steps = jnp.zeros((len(row_group), STEPS), jnp.int32)
-    nothing = jnp.zeros(steps.shape, bool)
-    rows = Trajectories(
-        observation=record,
-        record=record,
-        action=steps,
-        goal=steps,
-        valid=~nothing,
-        terminated=nothing,
-        truncated=nothing,
-        decided=~nothing,
-    )
-    achieved = jnp.ones(record.shape, bool)
-    return Experience(
-        buffer=rows,
-        decision_count=replay.running_count(rows.valid),
-        achieved=achieved,
-        achieved_count=replay.running_count(achieved),
-        known=pairs.KnownGoals(jnp.asarray(known)),
-        codes=None,
-        dissimilarity=pairs.remove_similar(
-            pairs.initial_dissimilarity(GOALS), record[..., None], rows.episode(), STEPS
-        ),
-    )
+    rows = hand_made.rows_of(np.ones((len(row_group), STEPS)), record)
+    dissimilarity = pairs.remove_similar(pairs.initial_dissimilarity(GOALS), record[..., None], rows.episode(), STEPS)
+    known = pairs.KnownGoals(jnp.asarray(known))
+    return hand_made.experience(rows, jnp.ones(record.shape, bool), known, dissimilarity)
 
 
 @pytest.mark.parametrize("dissimilar", [True, False])

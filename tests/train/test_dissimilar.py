@@ -12,7 +12,6 @@ from infogoal_jax import UserError, envs, make_train, pairs, presets, replay
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.learners import infogoal
 from infogoal_jax.learners.learner import LearnerBatch, SampleSpec
-from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import Experience, first_dissimilarity
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.sampling import sample_pairs
@@ -47,31 +46,12 @@ def walks() -> np.ndarray:
 
 def experience(learner) -> Experience:
     """The walks, with what this learner needs."""
-    record, nothing = jnp.asarray(walks()), jnp.zeros((ROWS, STEPS), bool)
-    rows = Trajectories(
-        observation=record,
-        record=record,
-        action=nothing,
-        goal=record[:, 1:],
-        valid=~nothing,
-        terminated=nothing,
-        truncated=nothing,
-        decided=~nothing,
-    )
-    achieved = jnp.ones(record.shape[:2], bool)
-    count, matrix = replay.running_count(achieved), first_dissimilarity(Setup(parts(learner), None, ENV))
+    rows, achieved = hand_made.rows_of(np.ones((ROWS, STEPS)), walks()), jnp.ones((ROWS, STEPS + 1), bool)
+    goals, matrix = rows.record[:, :, None], first_dissimilarity(Setup(parts(learner), None, ENV))
     if matrix is not None:
-        matrix = pairs.remove_similar(matrix, BOX.cell_of(record[:, :, None]), rows.episode(), WINDOW)
-    return Experience(
-        buffer=rows,
-        decision_count=replay.running_count(rows.valid),
-        achieved=achieved,
-        achieved_count=count,
-        known=pairs.AchievedGoals(record[:, :, None], count),
-        codes=None,
-        dissimilarity=matrix,
-        episode=rows.episode(),
-    )
+        matrix = pairs.remove_similar(matrix, BOX.cell_of(goals), rows.episode(), WINDOW)
+    known = pairs.AchievedGoals(goals, replay.running_count(achieved))
+    return hand_made.experience(rows, achieved, known, matrix, episode=rows.episode())
 
 
 def draw(learner):

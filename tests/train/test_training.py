@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from hand_made import assert_same_bits, plain
 
-from infogoal_jax import Hyperparameters, UserError, make_train, pairs, replay
+from infogoal_jax import Hyperparameters, UserError, make_train, pairs
 from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.runner.listeners import print_success
-from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.sampling import sample_pairs
 
 LONG = {
@@ -200,19 +199,12 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
     env = train.env.replace(achieved_goals=train.env.achieved_goals.at[0].set(0))
     shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, env).buffer
     buffer = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    nowhere, everything = jnp.zeros(buffer.record.shape, bool), jnp.ones(env.goals.num_goals, bool)
+    nowhere, num_goals = jnp.zeros(buffer.record.shape, bool), env.goals.num_goals
+    everything, dissimilarity = pairs.KnownGoals(jnp.ones(num_goals, bool)), pairs.initial_dissimilarity(num_goals)
 
     @jax.jit
     def draw(buffer, key):
-        experience = Experience(
-            buffer=buffer,
-            decision_count=replay.running_count(buffer.valid),
-            achieved=nowhere,
-            achieved_count=replay.running_count(nowhere),
-            known=pairs.KnownGoals(everything),
-            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
-            codes=None,
-        )
+        experience = hand_made.experience(buffer, nowhere, everything, dissimilarity)
         return sample_pairs(train.setup(), experience, key)
 
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()
