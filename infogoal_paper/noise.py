@@ -48,7 +48,7 @@ CHUNKS = 4
 """Of an equal number of updates, after each of which there is an evaluation."""
 HALF = 2
 """The cubes of the studies beside are trained for this share of their preset's updates, which take the most time."""
-BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ, noise_numbers.HELD_OUT_HRAC, noise_numbers.CALIBRATED)
+BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ, noise_numbers.HELD_OUT_HRAC)
 """These studies."""
 OF_SIZE = ("updates_per_epoch", "env.episode_length")
 """Fields that a toy has of its own."""

@@ -21,7 +21,7 @@ epsilon of `EPSILONS` at which it reaches the most validation goals, the smalles
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_jax.report.summary import LEAST_BETA
-from infogoal_paper import claims, paper, trial_numbers, trials, tuning
+from infogoal_paper import claims, trial_numbers, tuning
 from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
 from infogoal_paper.paper import METHODS as PAPER_METHODS
@@ -93,8 +93,6 @@ UNSEEN_FETCH = "fetch_reach+unseen"
 """FetchReach on goal sets that no choice has seen."""
 SEARCHING = "object_search+searching"
 """Object search with a memory, in other lengths of an episode, and InfoBot with other betas."""
-CALIBRATED = "object_manipulation+calibrated"
-"""The cube on which the bare agent comes nearest to its success in the paper (`trials.calibrated`)."""
 FIRST_TRIALS = "object_search+small"
 """Object search with the small preset's floats, for as many epochs."""
 CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
@@ -111,7 +109,6 @@ BESIDE = {
         *(f"{method}@steps_{steps}" for steps in (50, 300) for method in SEARCHERS[:4]),
         *("infobot@beta_0.001", "infobot@beta_0.01"),
     ),
-    CALIBRATED: SEARCHERS,
 }
 """The methods of studies that have few, in order."""
 READINGS: dict[str, dict[str, Any]] = {
@@ -136,6 +133,8 @@ distance, of known goals or of the listed ones, also one step apart; training on
 relabelling; 100 updates an epoch of as many steps. The rest are none: does a least beta mend the seed that collapsed?
 What have methods with the floats of `tuning.clean_choices`, trained for as long as the bare agent? And what those of
 `SEARCHING`?"""
+GOALS_OF_HRAC = 32
+"""Known goals of an update of the head there. The cube's preset has 512, for DQN; HRAC's actor acts for each."""
 RADII = {"fetch_reach": 0.25, "fetch_pick_and_place": 0.15, "object_manipulation": 0.369}
 """Distances within which goals are similar there: the preset's window times the length of a step, 5 cm or 15 degrees
 (in the unit of `goal_positions`)."""
@@ -171,7 +170,7 @@ DATA_SETS = (
     | {UNSEEN_FETCH: (7, 8, 9)}
     | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
     | dict.fromkeys((FIRST_TRIALS, SEARCHING), TASKS["object_search"])
-    | {HELD_OUT_SHELF: (7, 8, 9), HELD_OUT_HRAC: (8, 9, 10), CALIBRATED: (7,)}
+    | {HELD_OUT_SHELF: (7, 8, 9), HELD_OUT_HRAC: (8, 9, 10)}
 )
 """All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
 
@@ -209,8 +208,8 @@ def settings_of(task: str, method: str) -> dict[str, Any]:
     settings = dict(READINGS.get(method.partition("@")[2], {}))
     if task == FIRST_TRIALS:
         settings = {"num_epochs": presets.load("object_search", method, small=True).num_epochs}
-    if task == CALIBRATED:
-        settings = dict(trials.calibrated())
+    if task == HELD_OUT_HRAC and "all_goals" in method:
+        settings = {"relabelling.num_goals": GOALS_OF_HRAC}
     if method.endswith("@clean"):
         settings = {"num_epochs": presets.load(task.partition("+")[0], "none").num_epochs}
     if settings.get("learner.positives"):
@@ -282,7 +281,6 @@ PARTS = {
     "M": Part(2, all_of(FIRST_TRIALS)),
     "K": Part(6, tuple(run for run in all_of(UNSEEN_FETCH) if run[1].endswith("@clean"))),
     "N": Part(8, all_of(SEARCHING)),
-    "O": Part(6, all_of(CALIBRATED)),
     "P": Part(6, all_of(HELD_OUT_SHELF)),
     "Q": Part(6, tuple((HELD_OUT_HRAC, method, (8,)) for method in CARRYING)),
     **{
@@ -310,7 +308,6 @@ TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ} | {
     HELD_OUT_SHELF: "questions, held out",
     HELD_OUT_HRAC: "cube under HRAC, held out",
     SEARCHING: "object search",
-    CALIBRATED: "calibrated cube",
 }
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
@@ -319,12 +316,12 @@ PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "h
 UNSEEN_PAIRS = (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))
 """And on goal sets of FetchReach that no choice has seen."""
 CARRYING_PAIRS = (
-    ("infogoal+all_goals", "infogoal+all_goals+beta_0"),
-    ("infogoal+all_goals", "cogoal+all_goals"),
-    ("infogoal+all_goals", "her"),
+    *(("infogoal+all_goals", method) for method in CARRYING if method != "infogoal+all_goals"),
     ("cogoal+all_goals", "all_goals"),
 )
-"""And on the held-out cube."""
+"""And where all of `CARRYING` were run."""
+SEARCHING_PAIRS = (("infogoal", "her"), ("infogoal+her", "her"))
+"""And with and without a memory."""
 LINES = {
     "infogoal": "tab:blue",
     "infogoal+her": "tab:cyan",
@@ -632,6 +629,25 @@ def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Se
     return markdown_lines(["difference", *heads], rows)
 
 
+def carries_differences(numbers: Numbers) -> str:
+    """A row for each of `CARRYING_PAIRS`; of each task two columns: own best noise, and `SAME` on mean codes."""
+    tasks = [task for task in (HELD_OUT, HELD_OUT_SHELF, HELD_OUT_HRAC) if numbers.has(task, "infogoal+all_goals")]
+    columns = [(task, kind) for task in tasks for kind in kinds_of(task.partition("+")[0])]
+    rules = {"own best": ("best", "sampled"), "mean codes": (str(SAME), "mean")}
+    rows = []
+    for pair in CARRYING_PAIRS:
+        cells = [
+            signed(difference(numbers, task, pair, kind, *rule))
+            if all(numbers.has(task, method) for method in pair)
+            else ""
+            for task, kind in columns
+            for rule in rules.values()
+        ]
+        rows.append([" - ".join(CARRYING[method].replace(" + ", "+") for method in pair), *cells])
+    heads = [f"{goals_of(task, kind)}, {rule}" for task, kind in columns for rule in rules]
+    return markdown_lines(["difference", *heads], rows)
+
+
 def carries_beside(numbers: Numbers) -> str:
     """A row for each method with and without the head on tasks of `HELD_OUT_BESIDE` that were run: success greedy, at
     `SAME` and at its own best."""
@@ -648,39 +664,50 @@ def carries_beside(numbers: Numbers) -> str:
 
 
 def searching_table(numbers: Numbers) -> str:
-    """A row for each method of `SEARCHING`: success on test goals greedy, at `SAME` and at its own best, of its preset
-    and of what was changed; and their difference, seeds paired, greedy and at `SAME`."""
-    rows, plain = [], "object_search"
-    for method, words in methods_of(SEARCHING).items():
-        preset = method.partition("@")[0]
-        if numbers.has(SEARCHING, method) and numbers.has(plain, preset):
-            cells = [three_of(numbers, plain, "test", preset), three_of(numbers, SEARCHING, "test", method)]
-            for epsilon in (0.0, SAME):
-                found = (numbers.success(*run, epsilon) for run in ((SEARCHING, method), (plain, preset)))
-                cells.append(signed(paired_by_set(*found)))
-            rows.append([words, *cells])
-    return markdown_lines(["method", "preset", "changed", "difference, greedy", f"difference, ε {SAME}"], rows)
+    """Of object search as it is, and of each change of `SEARCHERS`, a column: success on test goals greedy/at `SAME`, a
+    row for each method, and training goals at `SAME` with a memory. Then differences by both rules, seeds paired; bold:
+    without 0. Below, InfoBot with other betas."""
+    task, plain = SEARCHING, "object_search"
+    changes = [name for name in ("memory", "steps_50", "steps_300") if numbers.has(task, f"her@{name}")]
 
+    def run_of(method: str, change: str) -> tuple[str, str]:
+        return (task, f"{method}@{change}") if change else (plain, method)
 
-def calibrated_table(numbers: Numbers) -> str:
-    """A row for each method on the calibrated cube: success greedy, at `SAME` and at its own best, beside the paper's;
-    below, which cube it is."""
-    rows = [
-        [
-            title,
-            *(three_of(numbers, CALIBRATED, kind, method) for kind in ("test", "corrupted_test")),
-            *(
-                paper.reported("object_manipulation", f"{kind}_goal", method.partition("+")[0])
-                for kind in ("test", "corrupted_test")
-            ),
-        ]
-        for method, title in methods_of(CALIBRATED).items()
-        if numbers.has(CALIBRATED, method)
+    def reached(method: str, change: str) -> str:
+        run = run_of(method, change)
+        if not numbers.has(*run):
+            return ""
+        cells = [np.mean(list(numbers.success(*run, epsilon).values())) for epsilon in (0.0, SAME)]
+        return "/".join(f"{cell:.2f}" for cell in cells)
+
+    def trained(method: str, change: str) -> str:
+        run = run_of(method, change)
+        return f"{np.mean(list(numbers.success(*run, SAME, kind='train').values())):.2f}" if numbers.has(*run) else ""
+
+    def less(pair: tuple[str, str], change: str) -> str:
+        runs = [run_of(method, change) for method in pair]
+        if not all(numbers.has(*run) for run in runs):
+            return ""
+        found = [paired_by_set(*(numbers.success(*run, epsilon) for run in runs)) for epsilon in (0.0, SAME)]
+        return "/".join(map(signed, found))
+
+    def row(head: str, test: Callable[[str], str], training: str = "") -> list[str]:
+        cells = [test(change) for change in changes]
+        return [head, test(""), *([*cells[:1], training, *cells[1:]] if "memory" in changes else cells)]
+
+    rows = [row(METHODS[method], functools.partial(reached, method), trained(method, "memory")) for method in SEARCHERS]
+    rows += [
+        row(" - ".join(METHODS[method].replace(" + ", "+") for method in pair), functools.partial(less, pair))
+        for pair in SEARCHING_PAIRS
     ]
-    world = trials.calibrated()
-    said = f"Joints within {world['env.joint_range']:g} degrees, episodes of {world['env.episode_length']} steps."
-    lines = markdown_lines(["method", "test", "corrupted test", "paper, test", "paper, corrupted test"], rows)
-    return f"{lines}\n\n{said}"
+    heads = [READING_WORDS[change] for change in changes]
+    heads[1:1] = ["its training goals"] if "memory" in changes else []
+    betas = [name for name in READINGS if name.startswith("beta_") and numbers.has(task, f"infobot@{name}")]
+    said = [
+        f"InfoBot, {READING_WORDS[name]}: {reached('infobot', name)}, {trained('infobot', name)} of its training goals."
+        for name in betas
+    ]
+    return f"{markdown_lines(['', 'preset', *heads], rows)}\n\n{' '.join(said)}".rstrip()
 
 
 def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
@@ -819,8 +846,6 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         beside |= {"carries_beside": carries_beside(numbers)}
     if SEARCHING in ran:
         beside |= {"searching": searching_table(numbers)}
-    if CALIBRATED in ran:
-        beside |= {"calibrated": calibrated_table(numbers)}
     if UNSEEN_FETCH in ran:
         beside |= {"unseen": difference_table(numbers, [UNSEEN_FETCH], UNSEEN_PAIRS)}
     searches = tuning.load(tuning.NUMBERS)
@@ -832,7 +857,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),
         "carries": carries_table(numbers),
-        "carries_differences": difference_table(numbers, [HELD_OUT, HELD_OUT_SHELF, HELD_OUT_HRAC], CARRYING_PAIRS),
+        "carries_differences": carries_differences(numbers),
         "success": success_table(numbers),
         "collapse": collapse_line(numbers),
         "machine": f"Measured on {machines}.",

@@ -7,6 +7,7 @@ them is replaced by what the numbers of the source give. Sources:
 
     readme    the README's two tables, of noise.csv.gz and of the runs in all_goals.npz; docs/research/noise_at_test.md
               and docs/research/all_goals.md have all that is made of them, with intervals
+    trials    the cubes of the bare agent in trials/numbers.csv.gz, of which trials.py --table prints the other tables
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     noise     the study of noise at test, noise.py, in noise.csv.gz
     sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.gz
@@ -55,6 +56,8 @@ from infogoal_paper import (
     positions,
     scores,
     sufficiency,
+    trial_numbers,
+    trials,
     tuning,
 )
 from infogoal_paper.manifest import PROTOCOLS
@@ -312,6 +315,7 @@ def first_hour_table() -> dict[str, str]:
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
+    "trials": lambda: {"calibration": trials.calibration_table(trial_numbers.read(trials.NUMBERS))},
     "noise": lambda: noise_numbers.tables(noise_numbers.read()),
     "sufficiency": lambda: sufficiency.tables(sufficiency.read()),
     "choices": choices.tables,

@@ -298,7 +298,7 @@ TRIALS = {
         PRESET | {"no intrinsic reward": {"intrinsic_weight": 0.0}},
         seeds=5,
     ),
-    # On which cube has the bare agent the paper's success, and what have the others there (noise.py, part O)?
+    # Is there a cube on which the bare agent has the paper's 0.40 of the test poses?
     **{
         name: Trial(CUBE_TASK, "none", CUBE | NORMALISED | {"num_epochs": 30} | settings)
         for name, settings in WORLDS.items()

@@ -30,7 +30,6 @@ import numpy as np
 from infogoal_jax import presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import splits
-from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.statistics import describe_machine
@@ -38,7 +37,7 @@ from infogoal_jax.runner.sweep import Callback, Sweep, batched_hyper, side_by_si
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.program import Train
-from infogoal_paper import all_goals_queue, paper, trial_numbers, trial_queue
+from infogoal_paper import all_goals_queue, table_formats, trial_numbers, trial_queue
 from infogoal_paper.trial_numbers import Row, code_errors
 from infogoal_paper.trial_queue import Trial
 from infogoal_paper.tuning import tuning_house
@@ -51,17 +50,11 @@ TABLES = {
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/research/trials.md: tasks, and the unit of the code's error with its decimals."""
-NAMED_TABLES = {
-    "house_goals": None,
-    "cube_dqn": ("degrees", 1),
-    "cube_hrac": ("degrees", 1),
-    "shelf_goals": None,
-    "calibration": None,
-}
-"""Tables of docs/research/all_goals.md, and that of `calibrated`: how the names of their trials begin, and the unit of
-the code's error."""
-WITHOUT_TABLE = "cube_carries"
-"""Trials whose numbers are kept alone: noise.py measured the same at equal noise, on more cubes."""
+NAMED_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
+"""Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+WITHOUT_TABLE = ("cube_carries", "calibration")
+"""Trials that have no line for each lane: of the first noise.py measured the same at equal noise, on more cubes; the
+others have a table of their own."""
 OF_NORMALISED = ("cube_dqn", "shelf_goals")
 """Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
 which seeds learn is chance."""
@@ -107,7 +100,7 @@ COMPARISONS = {
     "house_comparisons": first_occurrence("house"),
 }
 """Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
-NAMES = (*TABLES, *NAMED_TABLES, *COMPARISONS, "probe")
+NAMES = (*TABLES, *NAMED_TABLES, *COMPARISONS, "probe", "calibration")
 """Of all tables."""
 
 KINDS = (
@@ -271,6 +264,8 @@ def tables(rows: list[Row]) -> dict[str, str]:
     units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
     if units:
         found["probe"] = trial_numbers.probe_table(rows, units)
+    if done & trial_queue.WORLDS.keys():
+        found["calibration"] = calibration_table(rows)
     for name, pairs in COMPARISONS.items():
         ran = [pair for pair in pairs if all(trial in done for trial, _ in pair)]
         if ran:
@@ -278,19 +273,23 @@ def tables(rows: list[Row]) -> dict[str, str]:
     return found
 
 
-def calibrated() -> dict[str, Any]:
-    """The settings of the cube on which the bare agent comes nearest to its success in the paper, on test poses of a
-    cube that no result is shown on. Raises `UserError` where that was not measured."""
-    rows = trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
-    reported = float(paper.reported(trial_queue.CUBE_TASK, "test_goal", "none"))
-    away = {}
-    for name in trial_queue.WORLDS:
-        for _, shown, _ in trial_numbers.last_of_lanes([row for row in rows if row["trial"] == name]):
-            away[name] = abs(trial_numbers.seed_means(shown, "test_goal/success_rate").mean() - reported)
-    require(
-        bool(away), "tasks", "the calibrated cube", "no calibration is kept; run its trials first, and --merge them"
-    )
-    return trial_queue.WORLDS[min(away, key=away.__getitem__)]
+def calibration_table(rows: list[Row]) -> str:
+    """A row for each range of the joints, a column for each length of an episode: success of the bare agent on training
+    and on test poses, `1.00, 0.01 ± 0.02`."""
+    cells, lasts, shown = {}, set(), []
+    for name, world in trial_queue.WORLDS.items():
+        for _, last, updates in trial_numbers.last_of_lanes([row for row in rows if row["trial"] == name]):
+            training, test = (trial_numbers.seed_means(last, f"{kind}_goal/success_rate") for kind in ("train", "test"))
+            cells[tuple(world.values())] = ", ".join(
+                [trial_numbers.show(training, 2), trial_numbers.show(test, 2, interval=True)]
+            )
+            lasts.add(f"{len(test)} seeds, {updates} updates")
+            shown += last
+    ranges, lengths = (list(dict.fromkeys(values)) for values in zip(*cells, strict=True))
+    lines = [[f"{degrees:g}°", *(cells.get((degrees, steps), "") for steps in lengths)] for degrees in ranges]
+    lines = table_formats.markdown_lines(["joints within", *(f"{steps:,} steps" for steps in lengths)], lines)
+    machines = table_formats.machines_in_words(row["machine"] for row in shown)
+    return f"{lines}\n\n{'; '.join(sorted(lasts))}; {machines}."
 
 
 def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
