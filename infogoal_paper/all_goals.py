@@ -4,6 +4,7 @@ the numbers of its runs (`manifest.all_goals`).
 OUT/tables/NAME.md, .tex, .csv    OUT/figures/all_goals.png (and .pdf or .svg)    OUT/all_goals.md
 """
 
+import dataclasses
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,7 +38,7 @@ KINDS = {
 HEADS, BESIDE_THEM = ("all_goals", "infogoal+all_goals", "infobot+all_goals"), ("her", "leo")
 """Rows that value a goal through its code, and those that each of them is compared with."""
 KINDS_ON_PAGE, HEADS_ON_PAGE = ("train_goal", "test_goal", "corrupted_test_goal"), ("all_goals", "infogoal+all_goals")
-"""Kinds of goals that the page shows, and the rows whose differences on test goals it shows."""
+"""Kinds of goals that the page shows, and the rows whose differences to HER on test goals it shows."""
 Rows = dict[tuple[str, str], Row]
 """The rows of a task by (method, protocol)."""
 
@@ -99,11 +100,12 @@ def success_table(results: Results, task: str) -> Table | None:
         for line, (method, cell) in zip(body, column.items(), strict=True):
             line.append(cell._replace(rank=rank.get(method, 0)))
     seeds = sorted({row.seeds for row in rows.values()})
-    corrupted = " Corrupted: background of weight 0.4." if any("corrupted" in kind for kind, _ in shown) else ""
+    corrupted = ["Corrupted: background of weight 0.4."] if any("corrupted" in kind for kind, _ in shown) else []
     foot = [
         f"Success rate: mean ± {table_formats.INTERVALS} (Student t). Bold: best of a column; "
         "underlined: second best, once every method ran on every goal set. "
-        f"{' or '.join(map(str, seeds))} seed(s) on each goal set.{corrupted}",
+        f"{' or '.join(map(str, seeds))} seed(s) on each goal set.",
+        *corrupted,
         protocols_in_words(task),
         *legend(rows.values()),
         f"{machines_in_words(result.about['machine'] for row in rows.values() for result in row.results)}.",
@@ -258,17 +260,21 @@ def draw_figure(results: Results, path: Path, format: str = "png") -> list[Path]
 
 def on_page(results: Results) -> dict[str, str]:
     """What docs/research/all_goals.md shows, by name: parts of the tables of each task, or that it was not run yet, and
-    the figure; nothing before the first run of the study."""
+    the figure; nothing before the first run of the study. What stands below several tables stands below the first."""
     if all(run.of_paper for run in results):
         return {}
-    found = {}
-    pairs = [f"{ALL_GOALS[method]} minus {ALL_GOALS[other]}" for method in HEADS_ON_PAGE for other in BESIDE_THEM]
+    found: dict[str, str] = {}
+    said: set[str] = set()
+    pairs = [f"{ALL_GOALS[method]} minus {ALL_GOALS['her']}" for method in HEADS_ON_PAGE]
     for task in AGENTS:
         tested = [heading(kind, protocol, task) for kind in KINDS_ON_PAGE[1:] for protocol in protocols_of(task)]
         trained = [heading(KINDS_ON_PAGE[0], protocol, task) for protocol in protocols_of(task)]
         success, differences = success_table(results, task), differences_table(results, task)
         parts = [narrow(success, trained + tested)] if success else []
         parts += [narrow(differences, tested, pairs)] if differences else []
+        for place, part in enumerate(parts):
+            parts[place] = dataclasses.replace(part, foot=[line for line in part.foot if line not in said])
+            said.update(part.foot)
         found[task] = "\n\n".join(markdown(part, short=True).strip() for part in parts) or "Not run yet."
     return found | {"figure": f"![success on test goals](../results/{NAME}.png)"}
 

@@ -33,7 +33,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
-from infogoal_jax.report.summary import LEAST_BETA
+from infogoal_jax.report.summary import is_no_bottleneck
 from infogoal_paper import claims, trial_numbers, tuning
 from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
@@ -313,8 +313,11 @@ SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
-UNSEEN_PAIRS = (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))
-"""And on goal sets of FetchReach that no choice has seen."""
+CLEAN_PAIRS = {
+    "object_search": PAIRS,
+    "fetch_reach": (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her")),
+}
+"""And where settings were chosen again, on data that no choice has seen."""
 CARRYING_PAIRS = (
     *(("infogoal+all_goals", method) for method in CARRYING if method != "infogoal+all_goals"),
     ("cogoal+all_goals", "all_goals"),
@@ -610,22 +613,25 @@ def reached_at_best(numbers: Numbers, task: str, method: str, kind: str) -> list
 
 
 def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
-    """A row for each of `PAIRS` that was searched again on a task: the difference on validation goals in the finals,
-    seeds paired, and on test goals at `SAME` and at their own best, as presets and with what was chosen."""
+    """A row for each pair of methods that was searched again on a task: the difference on validation goals in the
+    finals, seeds paired, on test goals at `SAME` and at their own best, and on corrupted ones at the latter, as presets
+    and with what was chosen."""
     rows, found = [], finals_of(task, searches)
-    for pair in PAIRS:
+    shown = {f"test, ε {SAME}": ("test", str(SAME)), "test, own best": ("test", "best")}
+    if task in IMAGE_TASKS:
+        shown["corrupted, own best"] = "corrupted_test", "best"
+    for pair in CLEAN_PAIRS[task]:
         chosen = [again(task, method) for method in pair]
         if not (found.keys() >= set(pair) and all(numbers.has(*run) for run in chosen)):
             continue
         row = [" - ".join(METHODS[method].replace(" + ", "+") for method in pair)]
         for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
             row.append(signed(paired_difference(*(take(found[method])["success"][-1] for method in pair))))
-        for rule in (str(SAME), "best"):
-            row.append(signed(difference(numbers, PRESETS_OF[task], pair, "test", rule)))
-            row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), "test", rule)))
+        for kind_and_rule in shown.values():
+            row.append(signed(difference(numbers, PRESETS_OF[task], pair, *kind_and_rule)))
+            row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), *kind_and_rule)))
         rows.append(row)
-    goals = ("validation", f"test, ε {SAME}", "test, own best")
-    heads = [f"{words}, {whose}" for words in goals for whose in ("presets", "chosen")]
+    heads = [f"{words}, {whose}" for words in ("validation", *shown) for whose in ("presets", "chosen")]
     return markdown_lines(["difference", *heads], rows)
 
 
@@ -809,8 +815,8 @@ def small_table(numbers: Numbers) -> str:
 
 
 def is_collapsed(row: Row) -> bool:
-    """Whether beta of a seed fell to 0 by the end, while its KL still grew: its codes are no bottleneck."""
-    return float(row["beta"]) < LEAST_BETA and float(row["kl"]) > float(row["kl_half"])
+    """Whether the codes of a seed are no bottleneck."""
+    return bool(is_no_bottleneck(*(float(row[name]) for name in ("beta", "kl_half", "kl"))))
 
 
 def collapse_line(numbers: Numbers) -> str:
@@ -846,8 +852,6 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         beside |= {"carries_beside": carries_beside(numbers)}
     if SEARCHING in ran:
         beside |= {"searching": searching_table(numbers)}
-    if UNSEEN_FETCH in ran:
-        beside |= {"unseen": difference_table(numbers, [UNSEEN_FETCH], UNSEEN_PAIRS)}
     searches = tuning.load(tuning.NUMBERS)
     for task, ending in (("object_search", ""), ("fetch_reach", "_reach")):
         if any(numbers.has(*again(task, method)) for method in finals_of(task, searches)):

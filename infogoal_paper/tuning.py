@@ -248,7 +248,11 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
         if any(method in found for found in shown.values())
     ]
     lines = markdown_lines(["method", *(TITLES[task] for task in shown)], rows)
-    return {"searches": "\n".join([lines, "", *(made_on(task, found) for task, found in shown.items())])}
+    alike: dict[str, list[str]] = {}
+    for task, found in shown.items():
+        alike.setdefault(made_on(found), []).append(TITLES[task])
+    said = "; ".join(f"{', '.join(titles)}: {words}" for words, titles in alike.items())
+    return {"searches": f"{lines}\n\n{said}."}
 
 
 def cell(search: Search) -> str:
@@ -262,13 +266,13 @@ def cell(search: Search) -> str:
     return f"{np.mean(score):.2f}, {gain}"
 
 
-def made_on(task: str, found: dict[str, Search]) -> str:
-    """Goals, epochs, trials, seeds and devices of a task's searches."""
+def made_on(found: dict[str, Search]) -> str:
+    """Goals, epochs, trials, seeds and devices of the searches of a task."""
     one = next(iter(found.values()))
     devices = " and ".join(dict.fromkeys(search["device"] for search in found.values()))
     return (
-        f"- {TITLES[task]}: {one['goals']} goals, {one['epochs'][-1]} epochs, {len(one['trials'])} trials, seeds "
-        f"{one['seeds'][0]}-{one['seeds'][-1]}; {devices.removesuffix(' 80GB HBM3')}."
+        f"{one['goals']} goals, {one['epochs'][-1]} epochs, {len(one['trials'])} trials, seeds "
+        f"{one['seeds'][0]}-{one['seeds'][-1]}, {devices.removesuffix(' 80GB HBM3')}"
     )
 
 

@@ -80,20 +80,28 @@ def remarks_on(epochs: RunTable) -> list[str]:
 
 LEAST_BETA, LEAST_EPOCHS = 1e-4, 20
 """A beta of InfoGoal below it compresses nothing, and by then it has left its first value."""
+FALLING = 0.9
+"""A KL that is below this share of what it was half way falls: the threshold was reached late, and beta comes back."""
+
+
+def is_no_bottleneck(beta: np.ndarray, kl_half: np.ndarray, kl: np.ndarray) -> np.ndarray:
+    """Whether codes are not compressed: InfoGoal's beta is 0 at the end, and the KL has not fallen since half way.
+    Arrays of one shape, or floats."""
+    return (beta < LEAST_BETA) & (kl > FALLING * kl_half)
 
 
 def collapses(epochs: RunTable) -> list[str]:
-    """A sentence for the seeds whose codes are no bottleneck: InfoGoal's beta is 0, and the KL still grows."""
+    """A sentence for the seeds whose codes are no bottleneck (`is_no_bottleneck`)."""
     values = epochs.values
     if not {"infogoal/beta", "infogoal/kl"} <= values.keys() or values["infogoal/kl"].shape[1] < LEAST_EPOCHS:
         return []
     beta, kl = values["infogoal/beta"], values["infogoal/kl"]
-    lost = np.flatnonzero((beta[:, -1] < LEAST_BETA) & (kl[:, -1] > kl[:, kl.shape[1] // 2]))
+    lost = np.flatnonzero(is_no_bottleneck(beta[:, -1], kl[:, kl.shape[1] // 2], kl[:, -1]))
     if not lost.size:
         return []
     named = ", ".join(str(epochs.seeds[place]) for place in lost)
     return [
-        f"beta is 0 and the KL still grows in {counted(lost.size, 'seed')} ({named}): the accuracy stays below "
+        f"beta is 0 and the KL does not fall in {counted(lost.size, 'seed')} ({named}): the accuracy stays below "
         "learner.beta_threshold, and codes are not compressed; see --hyper.learner.beta-floor"
     ]
 
