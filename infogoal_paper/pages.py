@@ -15,7 +15,7 @@ them is replaced by what the numbers of the source give. Sources:
     all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
-    drone     the flights of drone_flights.py and drone_faults.py, in drone.json
+    drone     the flights of drone_flights.py and drone_faults.py, in drone.json.gz
     positions Fetch with continuous goals, positions.py, in positions.csv.gz, transfer.jsonl and
               sb3_her/reference.csv.gz
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
@@ -116,19 +116,19 @@ def plain_table(columns: list[str], names: list[str], rows: list[list[float]]) -
 
 LANDINGS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
 """Words by which reasons of a landing are counted as one, in front of what is special to a flight."""
-DRONE = RESULTS / "drone.json"
+DRONE = RESULTS / "drone.json.gz"
 
 
 def drone_numbers() -> dict[str, dict[str, Any]]:
     """What the scripts wrote, {"flights" or "faults": ...}."""
-    return json.loads(DRONE.read_text())
+    return json.loads(trial_numbers.read_text(DRONE))
 
 
 def take_drone(folder: Path) -> int:
     """Put the flights of a folder into the numbers; how many of the two files it has."""
     files = [folder / name for name in ("flights.json", "faults.json") if (folder / name).exists()]
     found = drone_numbers() | {file.stem: json.loads(file.read_text()) for file in files}
-    DRONE.write_text(json.dumps(found, indent=0) + "\n")
+    trial_numbers.write_compressed(DRONE, json.dumps(found, indent=0) + "\n")
     return len(files)
 
 
