@@ -21,6 +21,9 @@ READY_FOR_ALL := $(ENVIRONMENT)/.ready-for-all
 train: $(READY)
 	$(ENVIRONMENT)/bin/infogoal train object_search --small --seeds $(SEEDS)
 
+# Bytecode is kept as well, where the shell says not to: each worker would read every module and rewrite every assertion.
+test test-long: export PYTHONDONTWRITEBYTECODE =
+
 test: $(READY) lint
 	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) $(TESTS)
 

@@ -6,6 +6,7 @@ anything else that the encoder sees of it, is what `inputs_of` makes of that val
 where `shape` is () or (D,). "No goal" is the index -1, or a vector of NaN.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -492,8 +493,8 @@ def checked_names(names: Any, field: str, count: int | None) -> tuple[str, ...]:
     several = isinstance(names, list | tuple) or (isinstance(names, np.ndarray) and names.ndim == 1)
     require(several and all(isinstance(name, str) for name in names), field, names, "give a tuple of names")
     require(count is None or len(names) == count, field, len(names), f"give one for each of the {count} goals in uses")
-    repeated = next((name for place, name in enumerate(names) if name in names[:place]), None)
-    require(len({*names}) == len(names), field, repeated, "is there twice; give each a name of its own")
+    repeated = next((name for name, times in Counter(names).items() if times > 1), None)
+    require(repeated is None, field, repeated, "is there twice; give each a name of its own")
     return tuple(map(str, names))
 
 
