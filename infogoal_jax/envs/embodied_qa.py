@@ -60,7 +60,7 @@ class EmbodiedQA(DetectionWalk):
         return self.images[observation]
 
 
-def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Trajectories:
+def recorded_rows(data: frames.FrameDataset, training: np.ndarray) -> Trajectories:
     """The trajectories of a dataset as rows, each with a random training goal as desired goal: recordings have no
     desired goal of their own.
 
@@ -76,7 +76,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
     action, valid, truncated = np.zeros(shape, np.int32), np.zeros(shape, bool), np.zeros(shape, bool)
     action[row, data.time], valid[row, data.time] = data.action, True
     truncated[np.arange(len(starts)), lengths - 1] = True
-    goal = np.random.default_rng(seed).choice(training, len(starts))
+    goal = np.random.default_rng(0).choice(training, len(starts))
     parts = {
         "observation": observation,
         "record": observation,

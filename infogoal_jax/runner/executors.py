@@ -391,11 +391,9 @@ def write(folder: Path, path: str, content: bytes | None) -> None:
 def run_on_ray(jobs: Sequence[Job], place: Place, workers: int = 0, address: str = "") -> Outcome:
     """Train what is not done of these jobs, as `run_here` does, on a Ray cluster.
 
-    Args:
-        workers: how many jobs at a time; 0: one a GPU, or where there is none, one a machine.
-        address: of the cluster, as `ray.init` takes it; empty: one of this machine, which ends with the work. A cluster
-            that this process is connected to already is used as it is.
-
+    workers: how many jobs at a time; 0: one a GPU, or where there is none, one a machine.
+    address: of the cluster, as `ray.init` takes it; empty: one of this machine, which ends with the work. A cluster
+    that this process is connected to already is used as it is.
     Raises `UserError` where there is no Ray or no cluster.
     """
     with connected(address) as ray, stop_on_signal() as stop:

@@ -107,13 +107,10 @@ def seeds_at_once(
     """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that
     divides their number.
 
-    Args:
-        state_bytes: carried for each of the `num_seeds` of the device, and once more for those that run in a slice.
-        extra_bytes: `working_bytes` of each that runs.
-        env_bytes: held once.
-        devices: how many there are, for the message.
-        name: of the number of seeds, for the message.
-
+    state_bytes: carried for each of the `num_seeds` of the device, and once more for those that run in a slice.
+    extra_bytes: `working_bytes` of each that runs.
+    env_bytes: held once.
+    devices and name: how many there are, and of the number of seeds, for the message.
     Raises `UserError` if not even their states fit and one of them.
     """
     room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes

@@ -193,11 +193,8 @@ def side_by_side(
 ) -> Programs:
     """The programs of members in one environment. Of several processes each has its own seeds.
 
-    Args:
-        seeds: of each member.
-        hyper: of each member, as `batched_hyper` makes them; None: the configuration's, of all.
-        name: of the number of members, for a refusal.
-
+    hyper: of each member, as `batched_hyper` makes them; None: the configuration's, of all.
+    name: of the number of members, for a refusal.
     Raises `UserError` if the memory of the devices is too small for the states of all and one that runs.
     """
     count, config = len(seeds), train.config
@@ -241,14 +238,8 @@ def side_by_side(
 def programs_from(
     config: TrainConfig, epochs: Callable, evaluation: Callable, shared: tuple, states: States
 ) -> Programs:
-    """The programs of members side by side.
-
-    Args:
-        epochs: (states, numbers of epochs, *shared) -> (states, metrics).
-        evaluation: (states, *shared) -> metrics.
-        shared: what both take beside the states.
-        states: of the members.
-    """
+    """The programs of members side by side, by epochs (states, numbers of epochs, *shared) -> (states, metrics) and an
+    evaluation (states, *shared) -> metrics."""
     chunk = chunk_of(epochs, evaluation)
     given = states.shapes, jax.ShapeDtypeStruct((config.epochs_per_evaluation,), jnp.int32), *shared
     room = memory.mesh_memory(states.mesh)

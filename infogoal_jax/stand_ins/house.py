@@ -33,6 +33,7 @@ from infogoal_jax.stopping import temporary
 
 GENERATOR_VERSION = 1
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
+JPEG_QUALITY = 70
 LEAST_PIXELS = 4  # objects with fewer visible pixels are not annotated
 # COLMAP's arbitrary unit: positions in image_structs.mat times this are millimetres. Not 1000, so that a reader which
 # forgets it is wrong.
@@ -104,19 +105,14 @@ def build_house(
     *,
     node_spacing: float = 0.6,
     image_width: int = 160,
-    jpeg_quality: int = 70,
 ) -> Path:
     """Build one scene under `out_dir`, which may hold other scenes already; returns the scene's folder.
 
-    Args:
-      seed: of the layout and the textures; the same seed writes the same files.
-      scene: Home_NNN_N or Office_NNN_N.
-      node_spacing: metres between nodes, 0.4 to 1.2.
-      image_width: pixels, at least 32; the images are 16:9.
-      jpeg_quality: 1 to 100.
-
-    Raises:
-      UserError: where an argument is out of range or the scene exists already.
+    seed: of the layout and the textures; the same seed writes the same files.
+    scene: Home_NNN_N or Office_NNN_N.
+    node_spacing: metres between nodes, 0.4 to 1.2.
+    image_width: pixels, at least 32; the images are 16:9.
+    Raises `UserError` where an argument is out of range or the scene exists already.
     """
     if not re.fullmatch(r"(Home|Office)_\d{3}_\d", scene):
         raise UserError(f"scene = {scene!r}: must be like Home_101_1 (Home or Office, three digits, one digit)")
@@ -139,7 +135,7 @@ def build_house(
     )
     annotations = _edges(house, names)
     for index, (picture, sightings) in enumerate(_photograph(house, boxes, levels, camera)):
-        _, encoded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality))
+        _, encoded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
         (folder / "jpg_rgb" / names[index]).write_bytes(encoded.tobytes())
         annotations[names[index]]["bounding_boxes"] = [
             [*sighting.box, sighting.instance, difficulty(sighting.visible_fraction)] for sighting in sightings

@@ -48,7 +48,6 @@ MISTAKES = [
         "train object_search --env.dataset HOUSE --evaluation-starts 1000000000",
         ["evaluation_starts = 1000000000", "GiB", "such as 10"],
     ),
-    ("train object_search --env.dataset HOUSE --seeds 2147483648", ["seeds = 2147483648", "at most"]),
     ("train object_search --seeds 99999999999999999999", ["seeds = ", "below 2^32"]),
     (
         "train object_search --env.dataset HOUSE --learner.num-pairs 1000000000",
@@ -68,7 +67,6 @@ MISTAKES = [
     (f"data check {'x' * 300}", ["path = 'xxx", "File name too long; give a shorter path"]),
     (f"train object_search --env.dataset={'x' * 300}/y", ["env.dataset = 'xxx", "give a shorter path"]),
     (f"reproduce table1 --known {'x' * 300}", ["known = 'xxx", "give a shorter path"]),
-    ("train object_search --state-encoder.patch 0", ["state_encoder.patch = 0", "greater than 0"]),
     ("train object_search --first-seed -1", ["seeds = '-1 to -1'", "from 0 to below"]),
     ("report a_file", ["a_file", "could not be read"]),
     ("train --seeds 2 object_search", ["name the task first: infogoal train object_search --seeds 2"]),
@@ -76,11 +74,9 @@ MISTAKES = [
     ("data --seed 1 build house a", ["data '--seed': flags come after the command", "Known: check"]),
     ("tune --seeds 2", ["name the task first: infogoal tune TASK --seeds 2", "Known: object_search"]),
     ("train object_search --num-envs 0", ["num_envs = 0", "greater than 0"]),
-    ("train object_search --batch-size -3", ["batch_size = -3", "greater than 0"]),
     ("train object_search --num-epochs 25", ["num_epochs = 25", "multiple of epochs_per_evaluation = 10", "give 20"]),
     ("train object_search --buffer-steps 10", ["buffer_steps = 10", "3200"]),
     ("train object_search --learner.window 101", ["learner.window = 101", "episode length, 100"]),
-    ("train object_search --learner.window -1", ["learner.window = -1", "between 0"]),
     (
         "train object_search --learner.loss ratio --learner.score bilinear",
         ["learner.loss = 'ratio'", "--learner.score distance"],
@@ -220,33 +216,12 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     assert continued == first == ("runs/first", True, [0, 1]) and mine == ("runs/mine", False, [0, 1])
 
 
-def spoil_annotations(house):
-    path = house / "Home_101_1" / "annotations.json"
-    path.write_bytes(path.read_bytes()[:1000])
-
-
-def spoil_image(house):
-    path = sorted((house / "Home_101_1" / "jpg_rgb").iterdir())[5]
-    path.write_bytes(path.read_bytes()[:100])
-
-
-def spoil_by_removing_images(house):
-    for path in sorted((house / "Home_101_1" / "jpg_rgb").iterdir())[100:]:
-        path.unlink()
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        spoil_image,
-        *(pytest.param(each, marks=pytest.mark.long) for each in (spoil_annotations, spoil_by_removing_images)),
-    ],
-)
 def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
-    spoil, tiny_house, tmp_path, capsys, no_compilation
+    tiny_house, tmp_path, capsys, no_compilation
 ):
     shutil.copytree(tiny_house, tmp_path / "house")
-    spoil(tmp_path / "house")
+    image = sorted((tmp_path / "house" / "Home_101_1" / "jpg_rgb").iterdir())[5]
+    image.write_bytes(image.read_bytes()[:100])
     assert main(["train", "object_search", "--env.dataset", "house"]) == 2
     assert "infogoal data check" in capsys.readouterr().err
     assert main(["data", "check", "house"]) == 1
