@@ -32,7 +32,7 @@ def scored(*arguments, **named):
 
 def test_states_and_goals_that_agree_are_evaluated(states):
     assert scored(stay, ENV, GOALS, states).success.shape == (3, 2)
-    assert scored(stay, ENV, jnp.asarray(GOALS), 4).success.shape == (3, 4)
+    assert scored(stay, ENV, jnp.asarray(GOALS), np.int64(4)).success.shape == (3, 4)
     assert scored(stay, ENV, ["train_0", "train_2"], 1, seed=2**32 - 1).success.shape == (2, 1)
 
     def policy(observation, shown, key):
