@@ -40,6 +40,11 @@ def recorded(method: str) -> dict[str, np.ndarray]:
         return {name.removeprefix(f"{method}/"): arrays[name] for name in arrays if name.startswith(f"{method}/")}
 
 
+def assert_relatively_close(found, recorded):
+    """To 1e-5 of the largest number recorded."""
+    np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
+
+
 CHAPTER = r"^## ([^\n]+)\n(.*?)(?=^## |\Z)"
 
 

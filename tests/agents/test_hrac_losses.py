@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import places
 import pytest
+from places import assert_relatively_close, recorded
 
 from infogoal_jax import networks, pairs, presets
 from infogoal_jax.agents import hrac, td3
@@ -17,13 +17,8 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.envs.target_states import Cells
 from infogoal_jax.replay import Trajectories
 
-FIXTURE = places.recorded("hrac")
+FIXTURE = recorded("hrac")
 INTERVAL = int(FIXTURE["interval"])
-
-
-def assert_relatively_close(found, recorded):
-    """To 1e-5 of the largest number recorded."""
-    np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
 
 
 def test_adjacent_states_may_lie_1_apart_and_others_have_to_lie_1_2_apart():

@@ -7,20 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import places
 import pytest
+from places import assert_relatively_close, recorded
 
 from infogoal_jax import UserError, make_train, networks
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import gcb
 from infogoal_jax.learners.learner import GoalCode, Steps, conditioned
 
-FIXTURE = places.recorded("gcb")
-
-
-def assert_relatively_close(found, recorded):
-    """To 1e-5 of the largest number recorded."""
-    np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
+FIXTURE = recorded("gcb")
 
 
 @pytest.mark.parametrize(
