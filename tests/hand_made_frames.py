@@ -50,6 +50,13 @@ def small(**changes) -> FrameDataset:
     return FrameDataset(**(fields | changes))
 
 
+def changed(name: str, row, value) -> dict:
+    """The member of `small` with another value in a row."""
+    array = np.array(frames.members_of(small())[name])
+    array[row] = value
+    return {name: array}
+
+
 MOVES = ("frame", "action", "next_frame", "trajectory", "time", "terminal")
 OPTIONAL = {"rotation": None, "joints": None, "position": None, "detected": None, "objects": (), "joint_names": ()}
 

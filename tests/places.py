@@ -23,6 +23,11 @@ TESTS = Path(__file__).parent
 FIXTURES = TESTS / "fixtures"
 ROOT = TESTS.parent
 DOCS = ROOT / "docs"
+TINY = (
+    "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
+    "--buffer-steps 100 --evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"
+)
+"""Flags of a run in a house that takes seconds."""
 REGISTRIES = (
     envs.registry,
     presets.registry,

@@ -10,6 +10,7 @@ import sys
 
 import jax
 import pytest
+from places import TINY
 
 import infogoal_jax
 from infogoal_jax.cli.main import main
@@ -260,12 +261,6 @@ def test_a_configuration_comes_back_from_its_json():
     for method in ("infogoal", "none"):
         config = load("object_search", method, num_envs=7)
         assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
-
-
-TINY = (
-    "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
-    "--buffer-steps 100 --evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"
-)
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from hand_made_frames import MOVES, planted, small
+from hand_made_frames import MOVES, changed, planted, small
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import check as check_module
@@ -127,13 +127,6 @@ def test_wrong_folders_are_explained(tiny_house, tmp_path):
     (finding,) = check_active_vision(tiny_house / SCENE)
     assert "this is a scene" in finding.problem
     assert any("no scene folder" in f.problem for f in check_active_vision(tmp_path))
-
-
-def changed(name: str, row, value) -> dict:
-    """The member of `small` with another value in a row."""
-    array = np.array(frames.members_of(small())[name])
-    array[row] = value
-    return {name: array}
 
 
 MIRROR = np.diag([1, 1, -1]).astype(np.float32)

@@ -10,7 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hand_made_frames import OPTIONAL, small
+from hand_made_frames import OPTIONAL, changed, small
 
 from infogoal_jax import stopping
 from infogoal_jax.cli.data import print_size
@@ -113,13 +113,6 @@ def test_next_state_names_the_two_moves_that_contradict_each_other():
         UserError, match=r"a row of five: next_frame\[3\]: moves 0 and 3 are both action 0 in state 0.* states 1 and 4"
     ):
         frames.next_state(contradicting)
-
-
-def changed(name: str, row, value) -> dict:
-    """The member of `small` with another value in a row."""
-    array = np.array(frames.members_of(small())[name])
-    array[row] = value
-    return {name: array}
 
 
 @pytest.mark.parametrize("kept", [0, 1, 40, 0.3, 0.7, -1])

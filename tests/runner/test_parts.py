@@ -16,6 +16,7 @@ import hand_made
 import killed_run
 import pytest
 from killed_run import FILES, same_run
+from places import TINY
 from rich.console import Console
 from two_machines import cluster_of_two
 
@@ -293,12 +294,6 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
     assert sum(times.values()) <= 16 + 2  # What the machine had, once more.
     again = run_parts(CONFIG, plan, folder, resume=True, execute=run_on_ray, say=lambda words: None)
     assert not again.finished and not again.stopped
-
-
-TINY = (
-    "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
-    "--buffer-steps 100 --evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"
-)
 
 
 @pytest.mark.long
