@@ -5,14 +5,13 @@ import io
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 import hand_made
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from rich.console import Console
 
 import infogoal_jax
 from infogoal_jax import agents, envs, exploration, imports, learners, presets, relabelling
@@ -129,10 +128,11 @@ EVERY_TASKS_FIGURES = {
 
 
 def printed(show, *arguments) -> str:
-    """What a function prints on a console of its own."""
-    console = Console(file=io.StringIO(), width=120)
-    show(*arguments, console=console)
-    return console.file.getvalue()
+    """What a function prints on a terminal of 120 columns."""
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as stream:
+        patch.setenv("COLUMNS", "120")
+        show(*arguments)
+    return stream.getvalue()
 
 
 def assert_drawn(paths, folder, names):
