@@ -8,6 +8,7 @@ which claims are decided. Beside the paper stands the study of learning from all
 """
 
 import dataclasses
+import functools
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
@@ -126,8 +127,14 @@ class Run:
 
     def preset(self) -> TrainConfig:
         """The preset of the method on the task, before a goal set is chosen."""
-        parts = {"relabelling": self.relabelling, "explorer": self.explorer, "agent": self.agent}
-        return presets.load(self.task, self.method, **parts, known_goals=self.known_goals)
+        return preset_of(self.task, self.method, self.relabelling, self.explorer, self.agent, self.known_goals)
+
+
+@functools.cache
+def preset_of(task: str, method: str, relabelling: Any, explorer: Any, agent: Any, known_goals: str) -> TrainConfig:
+    """`Run.preset`, which tables and claims ask for thousands of times; a process has one set of presets."""
+    parts = {"relabelling": relabelling, "explorer": explorer, "agent": agent}
+    return presets.load(task, method, **parts, known_goals=known_goals)
 
 
 class Choice(NamedTuple):

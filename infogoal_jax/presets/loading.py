@@ -5,6 +5,7 @@ A method is a row of the paper's Table I: a combination of a learner, a relabell
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -133,6 +134,7 @@ def names_in(preset: Preset, task: str) -> Iterator[tuple[str, Iterable[str], li
             yield place, changes.relabelling, own["relabelling"].get(relabelled, [])
 
 
+@functools.cache
 def fields_in(record: type) -> list[str]:
     """The names of a record's fields."""
     return [field.name for field in dataclasses.fields(record)]
