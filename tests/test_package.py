@@ -3,11 +3,13 @@ own; and what benchmarks import of the package is there. And the wheel, installe
 everything a user does first works."""
 
 import ast
+import functools
 import importlib
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -64,10 +66,24 @@ def layer_of(name: str) -> int:
     return found
 
 
+@functools.cache
+def imports_in(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """The statements of a file that import, inside of functions too."""
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+def nodes_of_files_with(words: set[str], *folders: Path) -> Iterator[tuple[str, ast.AST]]:
+    """What the files in which one of these words stands are made of, each with the file's name: parsing takes long."""
+    for path in (path for folder in folders for path in folder.rglob("*.py")):
+        text = path.read_text()
+        if any(word in text for word in words):
+            yield from ((path.relative_to(ROOT).as_posix(), node) for node in ast.walk(ast.parse(text)))
+
+
 def imported_by(path: Path) -> set[str]:
     """Modules and folders of the package that a file imports, inside of functions too."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in imports_in(path):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
             below = node.module.split(".")[1:]
             found |= {below[0]} if below else {alias.name for alias in node.names}
@@ -105,7 +121,7 @@ def test_data_and_environments_know_nothing_of_learning():
 
 @pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*/*.py")), ids=lambda path: path.name)
 def test_what_benchmarks_import_of_the_package_is_there(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in imports_in(path):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
             module = importlib.import_module(node.module)
             for alias in node.names:
@@ -115,11 +131,10 @@ def test_what_benchmarks_import_of_the_package_is_there(path):
 
 def test_a_home_is_looked_up_in_one_way():
     """`files.expanded`: what pathlib has fails for a user who is not there."""
+    everywhere = *BESIDE, "tools", "benchmarks"
     found = {
-        path.relative_to(ROOT).as_posix()
-        for package in (PACKAGE, *(ROOT / name for name in (*BESIDE, "tools", "benchmarks")))
-        for path in package.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
+        name
+        for name, node in nodes_of_files_with({"expanduser"}, PACKAGE, *(ROOT / each for each in everywhere))
         if isinstance(node, ast.Attribute) and node.attr == "expanduser"
     }
     assert found == {"infogoal_jax/files.py"}
@@ -127,11 +142,11 @@ def test_a_home_is_looked_up_in_one_way():
 
 def test_there_is_one_loop_over_chunks():
     """Nothing but runner/sweep.py makes the programs of epochs and evaluation, or calls them."""
-    found = set()
-    for path in (path for package in (PACKAGE, *(ROOT / name for name in BESIDE)) for path in package.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in LOOPS:
-                found.add(path.relative_to(ROOT).as_posix())
+    found = {
+        name
+        for name, node in nodes_of_files_with(LOOPS, PACKAGE, *(ROOT / each for each in BESIDE))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in LOOPS
+    }
     assert found == {"infogoal_jax/runner/sweep.py", "infogoal_jax/train/program.py"}
 
 
@@ -197,7 +212,7 @@ def test_the_library_imports_nothing_of_the_packages_beside_it():
     found = {
         f"{path.relative_to(ROOT)} imports {name}"
         for path in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in imports_in(path)
         for name in modules_of(node)
         if name.partition(".")[0] in BESIDE
     }
