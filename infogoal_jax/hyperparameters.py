@@ -136,14 +136,21 @@ def check(record: Any) -> None:
     for name, value, number in floats(record):
         if isinstance(value, jax.core.Tracer):
             continue
+        if type(value) is float:  # Most are, and NumPy takes a while for one.
+            check_number(name, value, number)
+            continue
         number_or_array = isinstance(value, int | float | np.ndarray | jax.Array) and not isinstance(value, bool)
         array = np.asarray(value) if number_or_array else np.zeros(0, bool)
         numeric = array.size and (array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16)
         require(bool(numeric), f"hyper.{name}", value, "give a number, or an array of them")
         for one in np.unique(array.astype(float)):
-            one = float(one)
-            require(abs(one) <= LARGEST_FLOAT, f"hyper.{name}", one, "give a finite number that float32 holds")
-            require(number.allows(one), f"hyper.{name}", one, f"give a number in {number.interval}")
+            check_number(name, float(one), number)
+
+
+def check_number(name: str, value: float, number: Number) -> None:
+    """Raise `UserError` for a number outside of its interval, or that float32 cannot hold."""
+    require(abs(value) <= LARGEST_FLOAT, f"hyper.{name}", value, "give a finite number that float32 holds")
+    require(number.allows(value), f"hyper.{name}", value, f"give a number in {number.interval}")
 
 
 def check_record(record: Any, name: str) -> None:
