@@ -281,7 +281,8 @@ fingertips 5 cm and their distance 2 cm; its goal follows the cube, and here sta
 
 def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     """An environment of JaxGCRL as a task, by its name there. Goals, what achieves them, the radius and the length of
-    an episode, 1,001 steps that go on at the goal, are its own; arguments: of `from_brax`, to change them.
+    an episode, 1,001 steps that go on at the goal, are its own; arguments: of `from_brax`, to change them. Networks see
+    goals as they are, in the units of the state, as there.
 
     `pip install --no-deps jaxgcrl`: its package asks for an old jax and NumPy, and works with today's, see
     `import_jaxgcrl`.
@@ -301,7 +302,8 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
         "ends_at_goal": False,
         "source": f"{name} of JaxGCRL, simulated",
     }
-    return from_brax(env, **(own | arguments))
+    task = from_brax(env, **(own | arguments))
+    return task.replace(goals=task.goals.replace(seen=jnp.asarray))
 
 
 def jaxgcrl_environment(name: str) -> tuple[type, dict[str, Any]]:

@@ -8,7 +8,7 @@ import pytest
 from scipy.special import logsumexp
 from vector_agents import B, agent_of, joined, mlp, random_batch, started, success_on_the_line
 
-from infogoal_jax import presets
+from infogoal_jax import networks, presets
 from infogoal_jax.agents import crl
 from infogoal_jax.loading import reasons_against, remarks
 from infogoal_jax.relabelling.her import HERConfig
@@ -68,6 +68,17 @@ def test_penalty_alone_fixes_the_level_of_energies():
 
 def test_equal_representations_have_a_finite_gradient():
     assert np.isfinite(jax.grad(lambda one: crl.energy("norm", one, one))(jnp.ones(3))).all()
+
+
+def test_the_critic_of_jaxgcrls_environments_tells_a_place_from_one_behind_it():
+    """States go in as they are there: layer norm on the first layer saw their direction alone, and the far corner of
+    the maze, at three times its coordinates, as the corner of the start."""
+    fields = presets.JAXGCRL.agents.get("crl", {})
+    config, agent = crl.CRLConfig(**fields), agent_of("crl", hidden=(256, 256), **fields)
+    params, _ = agent.init(jax.random.key(0), jnp.zeros(4), jnp.zeros(2))
+    phi = networks.MLP(config.hidden, config.size, config.layer_norm)
+    start, corner = (phi.apply(params["phi"], jnp.array([place, place, 0.0, 0.0, 0.0, 0.0])) for place in (4.0, 12.0))
+    assert jnp.linalg.norm(corner - start) > 1.5 * jnp.linalg.norm(start)
 
 
 @pytest.mark.long

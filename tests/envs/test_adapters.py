@@ -352,6 +352,7 @@ def test_ant_of_jaxgcrl_is_itself():
     assert task.radius == 0.5 and task.episode_length == 1001 and len(task.shown) == 29 and task.action_size == 8
     assert np.linalg.norm(state.goal) == pytest.approx(10.0, abs=1e-3)
     assert np.array_equal(task.achieved(state), task.observe(state)[:2])
+    assert np.array_equal(task.goals.inputs_of(state.goal), state.goal)
 
 
 def skip_without(package: str) -> None:
