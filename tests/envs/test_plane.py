@@ -68,7 +68,7 @@ def test_an_episode_in_the_plane_ends_at_its_goal(task):
 @pytest.mark.parametrize("task", ["point_maze", "reacher"])
 def test_a_picture_shows_the_body_and_the_goal_where_they_are(task):
     env = envs.load(task)
-    state = env.reset_to(jax.random.key(0), jnp.array([1.5, 0.5]))
+    state = jax.jit(env.reset_to)(jax.random.key(0), jnp.array([1.5, 0.5]))
     picture, pixels = (
         np.asarray(jax.jit(env.draw)(state)),
         plane.pixels_of(*((0, 3) if task == "point_maze" else (-2.2, 2.2))),
@@ -92,12 +92,12 @@ def middle_of_the_arm(angles):
 def test_walls_of_a_picture_have_the_doors_of_the_maze():
     """A step over a wall is possible exactly where the picture has none."""
     env = envs.load("point_maze")
-    state = env.reset_to(jax.random.key(0), jnp.array([0.5, 0.5]))
-    picture, pixels = np.asarray(env.draw(state)), np.asarray(plane.pixels_of(0.0, 3.0))
+    state = jax.jit(env.reset_to)(jax.random.key(0), jnp.array([0.5, 0.5]))
+    picture, pixels = np.asarray(jax.jit(env.draw)(state)), np.asarray(plane.pixels_of(0.0, 3.0))
     wall = (picture == plane.WALL).all(-1)
     beside = np.abs(pixels[..., 0] - 0.96) < 0.013  # Left of the wall at x = 1, whose pixels are the next to the right.
     places = pixels[beside]
-    moved = np.asarray(jax.vmap(env.move)(jnp.asarray(places), jnp.tile(jnp.array([1.0, 0.0]), (len(places), 1))))
+    moved = np.asarray(jax.jit(jax.vmap(env.move, (0, None)))(places, np.array([1.0, 0.0], np.float32)))
     crossed = moved[:, 0] > 1
     shown = wall[np.abs(pixels[..., 0] - 1.0125) < 0.0126]
     assert crossed.any() and not crossed.all()

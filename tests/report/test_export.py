@@ -90,12 +90,15 @@ def test_actions_are_those_of_the_evaluation(shelf, exported):
     """The greedy action among the legal ones, by the mean of the code."""
     (train, params), env = shelf, shelf.train.env
     policy = train.policy(params, train.config.hyper, env, use_mean=True)
-    images = jnp.arange(env.num_observations)
-    goals = images % env.goals.num_goals
-    expected, masks = np.asarray(policy(images, goals, jax.random.key(0))), np.asarray(env.action_mask(images))
+    images = np.arange(env.num_observations, dtype=np.int32)
+    goals = images % np.int32(env.goals.num_goals)
+    expected, masks = (
+        np.asarray(each)
+        for each in jax.jit(lambda *seen: (policy(*seen, jax.random.key(0)), env.action_mask(seen[0])))(images, goals)
+    )
     found = [
         exported.act(np.asarray(env.images[image]), exported.goals[goal], mask)
-        for image, goal, mask in zip(np.asarray(images), np.asarray(goals), masks, strict=True)
+        for image, goal, mask in zip(images, goals, masks, strict=True)
     ]
     np.testing.assert_array_equal(found, expected)
 
