@@ -21,7 +21,7 @@ epsilon of `EPSILONS` at which it reaches the most validation goals, the smalles
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,6 +108,7 @@ BESIDE = {
         *(f"{method}@memory" for method in SEARCHERS),
         *(f"{method}@steps_{steps}" for steps in (50, 300) for method in SEARCHERS[:4]),
         *("infobot@beta_0.001", "infobot@beta_0.01"),
+        *(f"{method}@memory_long" for method in SEARCHERS),
     ),
 }
 """The methods of studies that have few, in order."""
@@ -123,6 +124,7 @@ READINGS: dict[str, dict[str, Any]] = {
     "floor": {"hyper.learner.beta_floor": 1e-3},
     "clean": {},
     "memory": {"env.memory": True},
+    "memory_long": {"env.memory": True, "num_epochs": 1000},
     "steps_50": {"env.episode_length": 50},
     "steps_300": {"env.episode_length": 300},
     "beta_0.001": {"hyper.learner.beta": 1e-3},
@@ -229,6 +231,7 @@ READING_WORDS = {
     "floor": "beta of at least 0.001",
     "clean": "floats chosen again",
     "memory": "with a memory",
+    "memory_long": "with a memory, 1,000 epochs",
     "steps_50": "episodes of 50 steps",
     "steps_300": "episodes of 300 steps",
     "beta_0.001": "beta 0.001",
@@ -671,49 +674,43 @@ def carries_beside(numbers: Numbers) -> str:
 
 def searching_table(numbers: Numbers) -> str:
     """Of object search as it is, and of each change of `SEARCHERS`, a column: success on test goals greedy/at `SAME`, a
-    row for each method, and training goals at `SAME` with a memory. Then differences by both rules, seeds paired; bold:
+    row for each method, and with a memory training goals at `SAME`. Then differences by both rules, seeds paired; bold:
     without 0. Below, InfoBot with other betas."""
-    task, plain = SEARCHING, "object_search"
-    changes = [name for name in ("memory", "steps_50", "steps_300") if numbers.has(task, f"her@{name}")]
+    changes = ("memory", "memory_long", "steps_50", "steps_300")
+    changes = [change for change in changes if numbers.has(SEARCHING, f"her@{change}")]
+    columns = [("", "test")]
+    columns += [(change, kind) for change in changes for kind in ("test", "train")[: 1 + change.startswith("memory")]]
 
-    def run_of(method: str, change: str) -> tuple[str, str]:
-        return (task, f"{method}@{change}") if change else (plain, method)
+    def reached(method: str, change: str, kind: str) -> list[dict[tuple[int, int], float]]:
+        run = (SEARCHING, f"{method}@{change}") if change else ("object_search", method)
+        epsilons = (0.0, SAME) if kind == "test" else (SAME,)
+        return [numbers.success(*run, epsilon, kind=kind) for epsilon in epsilons] if numbers.has(*run) else []
 
-    def reached(method: str, change: str) -> str:
-        run = run_of(method, change)
-        if not numbers.has(*run):
-            return ""
-        cells = [np.mean(list(numbers.success(*run, epsilon).values())) for epsilon in (0.0, SAME)]
-        return "/".join(f"{cell:.2f}" for cell in cells)
+    def means(method: str, change: str, kind: str) -> str:
+        return "/".join(f"{np.mean(list(found.values())):.2f}" for found in reached(method, change, kind))
 
-    def trained(method: str, change: str) -> str:
-        run = run_of(method, change)
-        return f"{np.mean(list(numbers.success(*run, SAME, kind='train').values())):.2f}" if numbers.has(*run) else ""
+    def differences(pair: tuple[str, str], change: str, kind: str) -> str:
+        both = zip(*(reached(method, change, kind) for method in pair), strict=False)
+        return "/".join(signed(paired_by_set(*found)) for found in both) if kind == "test" else ""
 
-    def less(pair: tuple[str, str], change: str) -> str:
-        runs = [run_of(method, change) for method in pair]
-        if not all(numbers.has(*run) for run in runs):
-            return ""
-        found = [paired_by_set(*(numbers.success(*run, epsilon) for run in runs)) for epsilon in (0.0, SAME)]
-        return "/".join(map(signed, found))
-
-    def row(head: str, test: Callable[[str], str], training: str = "") -> list[str]:
-        cells = [test(change) for change in changes]
-        return [head, test(""), *([*cells[:1], training, *cells[1:]] if "memory" in changes else cells)]
-
-    rows = [row(METHODS[method], functools.partial(reached, method), trained(method, "memory")) for method in SEARCHERS]
+    rows = [[METHODS[method], *(means(method, *column) for column in columns)] for method in SEARCHERS]
     rows += [
-        row(" - ".join(METHODS[method].replace(" + ", "+") for method in pair), functools.partial(less, pair))
+        [
+            " - ".join(METHODS[method].replace(" + ", "+") for method in pair),
+            *(differences(pair, *column) for column in columns),
+        ]
         for pair in SEARCHING_PAIRS
     ]
-    heads = [READING_WORDS[change] for change in changes]
-    heads[1:1] = ["its training goals"] if "memory" in changes else []
-    betas = [name for name in READINGS if name.startswith("beta_") and numbers.has(task, f"infobot@{name}")]
-    said = [
-        f"InfoBot, {READING_WORDS[name]}: {reached('infobot', name)}, {trained('infobot', name)} of its training goals."
-        for name in betas
+    heads = [
+        "its training goals" if kind == "train" else READING_WORDS.get(change, "preset") for change, kind in columns
     ]
-    return f"{markdown_lines(['', 'preset', *heads], rows)}\n\n{' '.join(said)}".rstrip()
+    said = [
+        f"InfoBot, {READING_WORDS[beta]}: {means('infobot', beta, 'test')}, {means('infobot', beta, 'train')} of its "
+        "training goals."
+        for beta in ("beta_0.001", "beta_0.01")
+        if reached("infobot", beta, "test")
+    ]
+    return f"{markdown_lines(['', *heads], rows)}\n\n{' '.join(said)}".rstrip()
 
 
 def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:

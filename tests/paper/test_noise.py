@@ -292,10 +292,10 @@ def test_what_a_memory_does_to_a_lead_is_paired_and_what_is_changed_is_a_field()
     assert "| InfoGoal - HER | **+0.40±0.00**/**+0.40±0.00** | **-0.10±0.00**/**-0.10±0.00** |  |" in table
     settings = {method: noise_numbers.settings_of(task, method) for method in noise_numbers.BESIDE[task]}
     for method, values in settings.items():
-        ((field, value),) = values.items()
         preset = noise.run_of(task, method, 7, toy=False).preset()
-        before, after = (attrgetter(field)(config) for config in (preset, with_values(preset, values)))
-        assert after == value != before
+        for field, value in values.items():
+            before, after = (attrgetter(field)(config) for config in (preset, with_values(preset, values)))
+            assert after == value != before
 
 
 def test_clean_choices_of_fetch_stand_beside_presets_on_goal_sets_that_no_choice_has_seen():
