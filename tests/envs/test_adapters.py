@@ -96,12 +96,14 @@ def test_their_wrapper_has_one_goal_and_one_start_for_all_episodes():
 
 
 def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leaves():
-    state = line_task().reset(KEYS[1])
-    place = state.world.pipeline_state
-    seen = line_task().observe(state)  # Of goal, pair, place, way.
+    task = line_task()
+    state = jax.jit(task.reset)(KEYS[1])
+    place = np.asarray(state.world.pipeline_state)
+    seen = jax.jit(task.observe)(state)  # Of goal, pair, place, way.
     assert np.allclose(seen, [place[0], place[0] ** 2, place[0]]) and seen.dtype == jnp.float32
     assert np.array_equal(state.goal, state.world.info["goal"])
-    told = [line_task().observe(line_task().reset_to(KEYS[1], jnp.array([goal]))) for goal in (-1.0, 1.0)]
+    of_goal = jax.jit(lambda goal: task.observe(task.reset_to(KEYS[1], goal)))
+    told = [of_goal(np.array([goal], np.float32)) for goal in (-1.0, 1.0)]
     assert np.array_equal(*told)
 
 

@@ -94,25 +94,27 @@ def test_a_memory_has_the_start_at_reset_and_then_the_places_of_a_walk():
 
 def test_a_memory_never_forgets_a_place_however_long_the_episode():
     env = hand_made.environment_from_above(memory=True, episode_length=600)
-    visited = jax.jit(env.visit)(jnp.zeros(256, jnp.uint8), jnp.asarray(0))
+    visit = jax.jit(env.visit)
+    visited = visit(np.zeros(256, np.uint8), 0)
     for _ in range(300):
-        visited = env.visit(visited, jnp.asarray(12))
+        visited = visit(visited, 12)
     assert set(np.unique(visited).tolist()) == {0, 1, 255}
 
 
 def test_the_state_encoder_sees_a_memory_and_episodes_without_one_are_the_same(house):
     env = hand_made.environment_from_above(memory=True)
-    here = env.visit(jnp.zeros(256, jnp.uint8), jnp.asarray(0))
-    there = env.visit(here, jnp.asarray(12))
-    seen = [env.render(object_search.Remembered(jnp.asarray(12), visited)) for visited in (here, there)]
+    visit, render = jax.jit(env.visit), jax.jit(env.render)
+    here = visit(np.zeros(256, np.uint8), 0)
+    there = visit(here, 12)
+    seen = [np.asarray(render(object_search.Remembered(12, visited))) for visited in (here, there)]
     assert seen[0].shape == (8, 8, 2) and seen[0].dtype == jnp.uint8
     np.testing.assert_array_equal(seen[0][..., 0], house.images[12])
     assert (seen[0][..., 1] != seen[1][..., 1]).any()
     train = make_train(hand_made.config("none", env=REMEMBERING), env)
     features = jax.jit(train.parts.state_encoder.apply)
-    params = train.parts.state_encoder.init(jax.random.key(0), seen[0])
+    params = jax.jit(train.parts.state_encoder.init)(jax.random.key(0), seen[0])
     assert (features(params, seen[0]) != features(params, seen[1])).any()
-    states = [each.reset(jax.random.key(3)) for each in (env, house)]
+    states = [jax.jit(each.reset)(jax.random.key(3)) for each in (env, house)]
     assert states[0].node == states[1].node and env.observe(states[0]).image == house.observe(states[1])
 
 
