@@ -105,8 +105,8 @@ def check_members(env: Environment) -> None:
     check_kind(env)
     if isinstance(env, GoalTask):
         require(not env.goals.finite, "env.goals", type(env.goals).__name__, "a GoalTask has a GoalBox.of")
-        rewards = "nothing calls it: a goal that is reached is the reward; leave it out, and write reached for another"
-        require(not hasattr(type(env), "reward"), "env.reward", "a function", rewards)
+        remedy = "nothing calls it: a goal that is reached is the reward; leave it out, and write reached for another"
+        require(not hasattr(type(env), "reward"), "env.reward", "a function", remedy)
         remedy = "give a distance above 0, whose square float32 holds"
         square = checks.number(env.radius, "env.radius", 0, remedy=remedy) ** 2
         require(LEAST_SQUARE <= square <= LARGEST_FLOAT, "env.radius", env.radius, remedy)

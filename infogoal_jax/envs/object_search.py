@@ -24,6 +24,9 @@ PLAN = 16
 """Cells along a side of the plan that a memory is."""
 HERE = 255
 """Level of the cell in which the robot is."""
+LEAST, MOST = active_vision.SMALLEST_IMAGE, active_vision.LARGEST_IMAGE
+IMAGE_SIDES = Within(f"[{LEAST}, {MOST}]", f"give at least {LEAST} and at most {MOST} pixels")
+"""Sides of the images that can be read, in pixels."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +43,7 @@ class ObjectSearchConfig:
     authors' split."""
     text_embeddings: str = ""
     """Sentence embeddings of the object names, an npz of `infogoal data embed`; empty: those that the project ships."""
-    image_size: Annotated[int, Within("[4, 512]", "give at least 4 and at most 512 pixels")] = 32
+    image_size: Annotated[int, IMAGE_SIDES] = 32
     """Side of the grey images that the agent sees, in pixels."""
     min_box_size: Annotated[float, Within("[0, 1)", "give a share of the image's height, from 0 to below 1")] = (
         active_vision.DEFAULT_MIN_BOX_SIZE

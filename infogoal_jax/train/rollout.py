@@ -76,11 +76,9 @@ def with_checked_inputs(policy: Policy, env, seen: Any) -> Policy:
 
     def checked(observation, goal, key):
         mine, wanted = jax.tree.structure(observation), jax.tree.structure(seen)
-        if wanted.num_leaves > 1:
-            require(mine == wanted, "observation", mine, f"give observations of the task, {wanted}")
-            jax.tree_util.tree_map_with_path(check, seen, observation)
-        else:
-            check((), seen, observation)
+        fits = mine == wanted or jax.tree_util.treedef_is_leaf(wanted)  # One array may be given as nested lists.
+        require(fits, "observation", mine, f"give observations of the task, {wanted}")
+        jax.tree_util.tree_map_with_path(check, seen, observation)
         if not isinstance(goal, GoalCode):
             env.goals.checked(goal, "goal", axes=1)
         return policy(observation, goal, key)

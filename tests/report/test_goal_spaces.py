@@ -21,6 +21,7 @@ from infogoal_jax.report.figures import draw_figures, read_subject
 from infogoal_jax.report.goal_space_figures import corners_of, success_over_goals
 from infogoal_jax.report.summary import evaluate_run, goal_table, typed_goal
 from infogoal_jax.runner import training
+from infogoal_jax.train.rollout import with_checked_inputs
 
 SMALL = {
     "num_epochs": 1,
@@ -134,6 +135,16 @@ def test_a_policy_says_what_is_no_observation_and_no_goal(maze, observation, goa
     assert policy(np.ones((1, 2)), np.ones((1, 2)), jax.random.key(0)).shape == (1, 2)
     with pytest.raises(UserError, match=said):
         policy(observation, goal, jax.random.key(0))
+
+
+def test_a_policy_of_a_tree_of_one_array_says_what_is_no_observation(maze):
+    seen = {"place": jax.ShapeDtypeStruct((2,), "float32")}
+    policy = with_checked_inputs(lambda observation, goal, key: observation["place"], maze, seen)
+    goal, place = np.ones((1, 2)), np.full((1, 2), 0.5)
+    np.testing.assert_array_equal(policy({"place": place}, goal, None), place)
+    for observation, said in (({"place": goal[0]}, r"observation\['place'\] = .*\[E, 2\]"), (place, "observation = ")):
+        with pytest.raises(UserError, match=said):
+            policy(observation, goal, None)
 
 
 def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path):
