@@ -24,7 +24,7 @@ HOUSE_GOALS = HOUSE | {"epochs_per_evaluation": 10}
 
 
 def weighted(words: str, values: dict[str, float], *weights: float) -> dict[str, dict[str, float]]:
-    """Lanes with these values, which the words name, and these weights of the learner's loss."""
+    """Settings with these values, which the words name, and these weights of the learner's loss."""
     return {f"{words}learner weight {weight}": values | {"learner_weight": weight} for weight in weights}
 
 
@@ -73,22 +73,22 @@ ALL_GOALS = {
 
 def all_goals_trials(
     name: str,
-    lanes: dict[str, dict[str, dict[str, float]]],
+    settings: dict[str, dict[str, dict[str, float]]],
     protocols: tuple[str, ...] = tuple(PROTOCOLS),
     goals: dict[str, float] | None = None,
 ) -> dict[str, Trial]:
-    """HER, LEO and the all-goals head with each learner, under these protocols. lanes: of each of them, else the
-    preset; goals: settings of those that learn from all goals."""
+    """HER, LEO and the all-goals head with each learner, under these protocols. settings: of each of them, else the
+    preset; goals: changes of those that learn from all goals."""
     trial = ALL_GOALS[name]
     return {
         f"{name}_{short}{ending}": trial._replace(
             method=method,
-            settings=trial.settings
+            changes=trial.changes
             | PROTOCOLS[ending]
             | PLAIN
             | ({} if method == "her" else goals or {})
             | (SAMPLED if method.endswith("+all_goals") else {}),
-            lanes=lanes.get(short, PRESET),
+            settings=settings.get(short, PRESET),
         )
         for ending in protocols
         for short, method in LEARNING.items()
@@ -120,7 +120,7 @@ QUEUE = {
     # Is it the noise of codes that keeps learners behind a plain head? With their means in its place:
     **{
         f"{name}_{short}_mean": ALL_GOALS[name]._replace(
-            method=LEARNING[short], settings=ALL_GOALS[name].settings | PLAIN | MEAN, lanes=LEARNER_WEIGHTS
+            method=LEARNING[short], changes=ALL_GOALS[name].changes | PLAIN | MEAN, settings=LEARNER_WEIGHTS
         )
         for name in ("house_goals", "shelf_goals")
         for short in ("infogoal_head", "infobot_head")
@@ -131,9 +131,9 @@ QUEUE = {
     ),
     **{
         f"cube_dqn_{short}_{words}": Trial(
-            CUBE_TASK, LEARNING[short], CUBE | PLAIN | settings, lanes, seeds, agent="dqn"
+            CUBE_TASK, LEARNING[short], CUBE | PLAIN | changes, settings, seeds, agent="dqn"
         )
-        for short, words, settings, lanes, seeds in (
+        for short, words, changes, settings, seeds in (
             # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
             ("infogoal_head", "finer", MIXED | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), 3),
             ("infogoal_head", "mean", MIXED | MEAN, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
@@ -165,8 +165,8 @@ QUEUE = {
     # In some seeds nothing was learned, whatever the weight: all values fall at first, and units die. Do normalised
     # layers keep them alive, and do they help HER as well?
     **{
-        f"cube_dqn_{short}_norm": Trial(CUBE_TASK, LEARNING[short], CUBE | NORMALISED | goals, lanes, agent="dqn")
-        for short, goals, lanes in (
+        f"cube_dqn_{short}_norm": Trial(CUBE_TASK, LEARNING[short], CUBE | NORMALISED | goals, settings, agent="dqn")
+        for short, goals, settings in (
             ("head", DESIRED, PRESET),
             ("infogoal_head", DESIRED | SAMPLED, LEARNER_WEIGHTS),
             ("infobot_head", DESIRED | SAMPLED, weighted("", {}, 0.1, 0.01, 0.001)),
@@ -178,8 +178,8 @@ QUEUE = {
     **{
         f"{name}_{short}_norm": ALL_GOALS[name]._replace(
             method=LEARNING[short],
-            settings=ALL_GOALS[name].settings | NORMALISED | (SAMPLED if short.startswith("info") else {}),
-            lanes=LEARNER_WEIGHTS if short.startswith("info") else PRESET,
+            changes=ALL_GOALS[name].changes | NORMALISED | (SAMPLED if short.startswith("info") else {}),
+            settings=LEARNER_WEIGHTS if short.startswith("info") else PRESET,
         )
         for name in ("house_goals", "shelf_goals")
         for short in LEARNING
@@ -194,8 +194,8 @@ QUEUE = {
     # The head under HRAC, the task's own agent. A target action for each goal: 32 goals in place of 512. Does a pose
     # that is desired and missed have to be among them?
     **{
-        f"cube_hrac_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | FEW_GOALS | goals, lanes, seeds)
-        for short, ending, goals, lanes, seeds in (
+        f"cube_hrac_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | FEW_GOALS | goals, settings, seeds)
+        for short, ending, goals, settings, seeds in (
             ("head", "", PLAIN | DESIRED, PRESET, 3),
             ("infogoal_head", "", PLAIN | DESIRED, LEARNER_WEIGHTS, 2),
             ("infogoal_head", "_achieved", PLAIN | ACHIEVED, LEARNER_WEIGHTS, 2),
@@ -217,8 +217,8 @@ QUEUE = {
     # What of InfoGoal carries its gain over the plain head on the held-out cube: compression, the intrinsic reward, or
     # any contrastive or generative code?
     **{
-        f"cube_carries_{short}": Trial(CUBE_TASK, method, CARRIES, lanes, seeds=5, agent="dqn")
-        for short, method, lanes in (
+        f"cube_carries_{short}": Trial(CUBE_TASK, method, CARRIES, settings, seeds=5, agent="dqn")
+        for short, method, settings in (
             ("infogoal", "infogoal+all_goals", {"preset": {}, "beta 0": NO_BETA}),
             (
                 "infogoal_no_reward",

@@ -32,7 +32,7 @@ from infogoal_jax.runner.sweep import (
 )
 from infogoal_jax.train.program import Train
 from infogoal_paper import measure
-from infogoal_paper.manifest import PRESET, Lane, Run
+from infogoal_paper.manifest import PRESET, Run, Setting
 from infogoal_paper.plan import ONE_SET_AT_A_TIME, build_data, config_of, with_one_shape
 
 WORDS = {"source", "names", "region_names", "low_level_name", "goal_objects"}
@@ -47,7 +47,7 @@ class Batch:
 
     config: of the first.
     envs: of the goal sets.
-    lanes: (setting, seed) of each member of a goal set.
+    members: (setting, seed) of each, in every goal set.
     runs: by (goal set's place, setting).
 
     Arrays of all members begin with the axes [goal sets, members], or with [members] where there is one goal set.
@@ -55,20 +55,20 @@ class Batch:
 
     config: TrainConfig
     envs: tuple[Any, ...]
-    lanes: tuple[tuple[Lane, int], ...]
-    runs: dict[tuple[int, Lane], Run]
+    members: tuple[tuple[Setting, int], ...]
+    runs: dict[tuple[int, Setting], Run]
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the members."""
-        return (len(self.lanes),) if len(self.envs) == 1 else (len(self.envs), len(self.lanes))
+        return (len(self.members),) if len(self.envs) == 1 else (len(self.envs), len(self.members))
 
     @property
     def places(self) -> dict[Run, tuple[int, slice]]:
         """Where the seeds of each run stand: goal set's place, members."""
         found = {}
-        for (place, lane), run in self.runs.items():
-            first = [each for each, _ in self.lanes].index(lane)
+        for (place, setting), run in self.runs.items():
+            first = [each for each, _ in self.members].index(setting)
             found[run] = place, slice(first, first + len(run.seeds))
         return found
 
@@ -176,60 +176,60 @@ def shape_of(env: Any) -> tuple:
 
 
 def batches_of(
-    runs: list[Run], goal_images: Path | None, most_lanes: int, settings: dict[str, Any] | None = None
+    runs: list[Run], goal_images: Path | None, most_members: int, changes: dict[str, Any] | None = None
 ) -> list[Batch]:
-    """The runs of one program, with these settings in place of the preset's, as batches: goal sets whose arrays have
-    the same shapes and which need the same lanes go together, but for `ONE_SET_AT_A_TIME`. As many lanes at once as fit
-    into the device's memory, `most_lanes` at most; the seeds of a run are never cut."""
+    """The runs of one program, with these changes of the preset, as batches: goal sets whose arrays have the same
+    shapes and which need the same settings go together, but for `ONE_SET_AT_A_TIME`. As many members at once as fit
+    into the device's memory, `most_members` at most; the seeds of a run are never cut."""
     sets = sorted({run.goal_set for run in runs})
-    lanes = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
+    by_set = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
     configs, envs = {}, {}
     for number in sets:
-        build_data(lanes[number][0])
-        # A lane says what differs from the preset: the first one's floats are not those of the others.
-        preset = config_of(dataclasses.replace(lanes[number][0], lane=Lane(*PRESET)), goal_images)
-        configs[number] = with_values(preset, settings or {})
+        build_data(by_set[number][0])
+        # A setting says what differs from the preset: the first one's floats are not those of the others.
+        preset = config_of(dataclasses.replace(by_set[number][0], setting=Setting(*PRESET)), goal_images)
+        configs[number] = with_values(preset, changes or {})
         envs[number] = load_environment(configs[number])
     envs = dict(zip(envs, with_one_shape(list(envs.values())), strict=True))
     together: dict[Any, list[int]] = {}
     for number in sets:
-        needed = tuple((run.lane, run.seeds) for run in lanes[number])
+        needed = tuple((run.setting, run.seeds) for run in by_set[number])
         together.setdefault((needed, shape_of(envs[number])), []).append(number)
     found = []
     for (needed, _), alike in together.items():
         config, seeds = configs[alike[0]], [len(each) for _, each in needed]
-        most = min(most_lanes, fitting(config, envs[alike[0]], sum(seeds) * len(alike)))
+        most = min(most_members, fitting(config, envs[alike[0]], sum(seeds) * len(alike)))
         at_once = 1 if config.task in ONE_SET_AT_A_TIME else max(1, most // max(seeds))
         beside = [alike[first : first + at_once] for first in range(0, len(alike), at_once)]
         for numbers, part in ((each, part) for each in beside for part in parts_of(needed, max(1, most // len(each)))):
             members = {
-                (place, run.lane): run
+                (place, run.setting): run
                 for place, number in enumerate(numbers)
-                for run in lanes[number]
-                if (run.lane, run.seeds) in part
+                for run in by_set[number]
+                if (run.setting, run.seeds) in part
             }
-            flat = tuple((lane, seed) for lane, seeds in part for seed in seeds)
+            flat = tuple((setting, seed) for setting, seeds in part for seed in seeds)
             found.append(Batch(config, tuple(envs[number] for number in numbers), flat, members))
     return found
 
 
 def floats_of(batch: Batch) -> list[dict[str, float]]:
-    """The floats of each lane by dotted name: the preset's, but for those that the lane sets."""
-    return [values_of(batch.config.hyper) | dict(lane.values) for lane, _ in batch.lanes]
+    """The floats of each member by dotted name: the preset's, but for those that its setting changes."""
+    return [values_of(batch.config.hyper) | dict(setting.values) for setting, _ in batch.members]
 
 
 def parts_of(needed: tuple, most: int) -> list[list]:
-    """Lanes with their seeds in parts of at most so many seeds together; a lane is never cut."""
+    """Settings with their seeds in parts of at most so many seeds together; a setting is never cut."""
     parts: list[list] = [[]]
-    for lane, seeds in needed:
+    for setting, seeds in needed:
         if parts[-1] and sum(len(each) for _, each in parts[-1]) + len(seeds) > most:
             parts.append([])
-        parts[-1].append((lane, seeds))
+        parts[-1].append((setting, seeds))
     return parts
 
 
 def fitting(config: TrainConfig, env: Any, count: int) -> int:
-    """How many lanes of `count` fit into the device's memory side by side. Raises `UserError` for none."""
+    """How many members of `count` fit into the device's memory side by side. Raises `UserError` for none."""
     train = make_train(config, env)
     sizes = memory.state_bytes(train), memory.working_bytes(train), memory.bytes_of(env)
     return memory.seeds_at_once(*sizes, count, memory.device_memory(jax.devices()[0]))
@@ -292,8 +292,8 @@ def begin(batch: Batch) -> Training:
     """A batch before its first epoch, neither compiled nor with states: a checkpoint may have them, or show that
     nothing is left to train."""
     began, started = time.time(), time.perf_counter()
-    train, seeds = make_train(batch.config, batch.envs[0]), [seed for _, seed in batch.lanes]
-    hyper = batched_hyper(batch.config.hyper, [dict(lane.values) for lane, _ in batch.lanes], batch.shape[:-1])
+    train, seeds = make_train(batch.config, batch.envs[0]), [seed for _, seed in batch.members]
+    hyper = batched_hyper(batch.config.hyper, [dict(setting.values) for setting, _ in batch.members], batch.shape[:-1])
     if len(batch.envs) == 1:
         programs = side_by_side(train, seeds, hyper, "vmap_size")
     else:
@@ -318,7 +318,7 @@ def without_ended(training: Training, ended: set[Run]) -> Training:
     batch = training.batch
     runs = {key: run for key, run in batch.runs.items() if run not in ended}
     places = sorted({place for place, _ in runs})
-    which = [number for number, (lane, _) in enumerate(batch.lanes) if any(lane == each for _, each in runs)]
+    which = [number for number, (setting, _) in enumerate(batch.members) if any(setting == each for _, each in runs)]
     idle = 1 - len(places) * len(which) / training.finite.size
     if not idle or training.idle_seconds < training.sweep.prepare_seconds:
         training.idle_seconds += idle * training.sweep.last_seconds
@@ -329,8 +329,8 @@ def without_ended(training: Training, ended: set[Run]) -> Training:
         leaf.delete()  # The device's memory may not hold both.
         return own
 
-    runs = {(places.index(place), lane): run for (place, lane), run in runs.items()}
-    envs, flat = tuple(batch.envs[place] for place in places), tuple(batch.lanes[number] for number in which)
+    runs = {(places.index(place), setting): run for (place, setting), run in runs.items()}
+    envs, flat = tuple(batch.envs[place] for place in places), tuple(batch.members[number] for number in which)
     smaller = begin(Batch(batch.config, envs, flat, runs))
     smaller.go_on_with(jax.tree.map(moved, training.states), training.evaluations)
     smaller.history = {

@@ -80,8 +80,8 @@ def settings_of(config: TrainConfig) -> dict[str, Any]:
     return json.loads(program_key(config)) | {"num_epochs": None}
 
 
-def lanes_of(training: batches.Training) -> dict[str, dict[str, Any]]:
-    """Where each run stands in a batch, and what its lanes are of: floats, seeds and data."""
+def members_of(training: batches.Training) -> dict[str, dict[str, Any]]:
+    """Where each run stands in a batch, and what its members are of: floats, seeds and data."""
     floats = batches.floats_of(training.batch)
     return {
         run.name: {
@@ -96,7 +96,7 @@ def lanes_of(training: batches.Training) -> dict[str, dict[str, Any]]:
 def save(path: Path, training: batches.Training) -> None:
     """Write the checkpoint of a batch. Raises `UserError` if the disk refuses."""
     header = {
-        "runs": lanes_of(training),
+        "runs": members_of(training),
         "program": program_of(training),
         "evaluations": training.evaluations,
         "history": {name: np.stack(values).tolist() for name, values in training.history.items()},
@@ -126,14 +126,14 @@ def resume(folder: Path, training: batches.Training) -> bool:
 
 def fits(header: dict[str, Any], training: batches.Training) -> bool:
     """Whether a checkpoint has the runs of this batch, with the same settings."""
-    wanted = json.loads(json.dumps(lanes_of(training)))
+    wanted = json.loads(json.dumps(members_of(training)))
     return header["program"] == json.loads(json.dumps(program_of(training))) and all(
         header["runs"].get(name, {}).get("of") == own["of"] for name, own in wanted.items()
     )
 
 
 def take(path: Path, header: dict[str, Any], payload: bytes, training: batches.Training) -> None:
-    """Bring a batch to where its checkpoint was, of whose lanes it may have a part."""
+    """Bring a batch to where its checkpoint was, of whose members it may have a part."""
     places, which = part_of(header["runs"], training)
     finite = np.asarray(header["finite"], bool)
     own = len(training.batch.shape)
@@ -154,9 +154,9 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: batches.T
     }
     training.finite = part(finite)
     costs = header.get("costs", {})
-    training.costs = {name: costs[name] for name in lanes_of(training) if name in costs}
+    training.costs = {name: costs[name] for name in members_of(training) if name in costs}
     going_on = {name: np.ptp(own["lanes"]) for name, own in header["runs"].items() if name not in costs}
-    own = sum(size for name, size in going_on.items() if name in lanes_of(training))
+    own = sum(size for name, size in going_on.items() if name in members_of(training))
     share = own / max(1, sum(going_on.values()))  # Of what the larger batch took.
     training.compile_seconds += share * header["seconds"][0]
     training.run_seconds = share * header["seconds"][1]
@@ -164,13 +164,13 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: batches.T
 
 
 def part_of(runs: dict[str, dict[str, Any]], training: batches.Training) -> tuple[list[int], list[int]]:
-    """The goal sets and the lanes of a checkpoint's batch that are those of this one, in its order."""
+    """The goal sets and the members of a checkpoint's batch that are those of this one, in its order."""
     places, which = {}, {}
     for run, (place, own) in training.batch.places.items():
         there = runs[run.name]
         places[place] = there["place"]
         which |= zip(range(own.start, own.stop), range(*there["lanes"]), strict=True)
-    return [places[place] for place in sorted(places)], [which[lane] for lane in sorted(which)]
+    return [places[place] for place in sorted(places)], [which[member] for member in sorted(which)]
 
 
 def tidy(folder: Path, runs: Sequence[Run]) -> None:

@@ -359,9 +359,9 @@ LEAST = 1e-6
 """A beta below it compresses nothing: its logarithm is that of this one, since 0 has none."""
 
 
-def infogoal_on_pick_and_place(results: Results, lane: str = PRESET[0]) -> Row | None:
+def infogoal_on_pick_and_place(results: Results, setting: str = PRESET[0]) -> Row | None:
     """The row of InfoGoal on FetchPickAndPlace."""
-    return row_of(results, "paper", "fetch_pick_and_place", "infogoal", lane)
+    return row_of(results, "paper", "fetch_pick_and_place", "infogoal", setting)
 
 
 def near(
@@ -387,9 +387,9 @@ def near(
     return find
 
 
-def rows_of_lane(results: Results, lane: str) -> Rows | None:
-    """The rows of InfoGoal under a lane on the three Fetch tasks; None unless all of them ran."""
-    rows = {task: row_of(results, "paper", task, "infogoal", lane) for task in FETCH}
+def rows_of_setting(results: Results, setting: str) -> Rows | None:
+    """The rows of InfoGoal under a setting on the three Fetch tasks; None unless all of them ran."""
+    rows = {task: row_of(results, "paper", task, "infogoal", setting) for task in FETCH}
     return None if None in rows.values() else rows
 
 
@@ -407,17 +407,17 @@ def side_by_side(first: Rows, second: Rows, kinds: Sequence[str]) -> tuple[dict[
 def fixed_against_adaptive(results: Results) -> Finding:
     """Adaptive minus the best fixed beta, mean over the three Fetch tasks and both kinds of corrupted goals. A row that
     does not count might be the best, so that nothing can be told."""
-    lanes = {beta: rows for beta in FIXED_BETAS if (rows := rows_of_lane(results, fixed(beta)[0])) is not None}
-    adaptive = rows_of_lane(results, PRESET[0])
-    if not lanes or adaptive is None:
+    settings = {beta: rows for beta in FIXED_BETAS if (rows := rows_of_setting(results, fixed(beta)[0])) is not None}
+    adaptive = rows_of_setting(results, PRESET[0])
+    if not settings or adaptive is None:
         return Finding(None, "no runs")
-    compared = {beta: side_by_side(adaptive, rows, CORRUPTED) for beta, rows in lanes.items()}
+    compared = {beta: side_by_side(adaptive, rows, CORRUPTED) for beta, rows in settings.items()}
     best = max(compared, key=lambda beta: compared[beta][2])
     gains, ours, fixed_best = compared[best]
     words = f"adaptive {ours:.2f}, best fixed beta {best:g} {fixed_best:.2f}"
-    every = [*adaptive.values(), *(row for rows in lanes.values() for row in rows.values())]
+    every = [*adaptive.values(), *(row for rows in settings.values() for row in rows.values())]
     found = finding(gains, words, every, above=-COMPARABLE)
-    return found if len(lanes) == len(FIXED_BETAS) else lacking_rows(found)
+    return found if len(settings) == len(FIXED_BETAS) else lacking_rows(found)
 
 
 def beta_gain(better: float, worse: float) -> Callable[[Results], Finding]:
@@ -425,7 +425,7 @@ def beta_gain(better: float, worse: float) -> Callable[[Results], Finding]:
     kinds = CORRUPTED[1:]
 
     def find(results: Results) -> Finding:
-        first, second = (rows_of_lane(results, fixed(beta)[0]) for beta in (better, worse))
+        first, second = (rows_of_setting(results, fixed(beta)[0]) for beta in (better, worse))
         if first is None or second is None:
             return Finding(None, "no runs")
         gains, *means = side_by_side(first, second, kinds)
@@ -438,7 +438,7 @@ def beta_gain(better: float, worse: float) -> Callable[[Results], Finding]:
 def less_information(results: Results) -> Finding:
     """How many times larger the KL of the codes is under the adaptive beta than under a fixed one of 0.1, as a
     logarithm."""
-    rows = [infogoal_on_pick_and_place(results, lane) for lane in (PRESET[0], fixed(0.1)[0])]
+    rows = [infogoal_on_pick_and_place(results, setting) for setting in (PRESET[0], fixed(0.1)[0])]
     if None in rows:
         return Finding(None, "no runs")
     adaptive, high = shared(*(of_row(row, metric_of("infogoal/kl")) for row in rows))

@@ -143,7 +143,7 @@ def check_size(asked: Asked) -> None:
 def work_of(asked: Asked, deadline: float) -> Work:
     """The work on the folder that was asked for."""
     say = lambda words: print(words, flush=True)  # noqa: E731
-    settings = {"retry": asked.retry, "goal_images": asked.goal_images, "most_lanes": asked.vmap_size}
+    settings = {"retry": asked.retry, "goal_images": asked.goal_images, "most_members": asked.vmap_size}
     return Work(asked.out, deadline, say, **settings)
 
 

@@ -41,10 +41,10 @@ CODES_IN_WORDS = (
 )
 
 
-def picture_of(results: Results, task: str, method: str, *lanes: str) -> Result | None:
-    """The run whose pictures are shown: on goal set 0, of the first of these lanes that there is."""
-    for lane in lanes or (PRESET[0],):
-        row = row_of(results, "paper", task, method, lane)
+def picture_of(results: Results, task: str, method: str, *settings: str) -> Result | None:
+    """The run whose pictures are shown: on goal set 0, of the first of these settings that there is."""
+    for setting in settings or (PRESET[0],):
+        row = row_of(results, "paper", task, method, setting)
         found = row and next((result for result in row.results if "picture/code_mean" in result.arrays), None)
         if found:
             return found
@@ -166,11 +166,11 @@ def fig11(results: Results) -> Figure | None:
 
 def fig14(results: Results) -> Figure | None:
     """Codes of InfoGoal under fixed beta, and under the adaptive one, by corruption, on FetchPickAndPlace."""
-    lanes = {f"beta {beta:g}": fixed(beta)[0] for beta in (1e-4, 1e-2, 1e-1)} | {"adaptive": PRESET[0]}
+    settings = {f"beta {beta:g}": fixed(beta)[0] for beta in (1e-4, 1e-2, 1e-1)} | {"adaptive": PRESET[0]}
     found = {
         title: picture
-        for title, lane in lanes.items()
-        if (picture := picture_of(results, "fetch_pick_and_place", "infogoal", lane))
+        for title, setting in settings.items()
+        if (picture := picture_of(results, "fetch_pick_and_place", "infogoal", setting))
     }
     if len(found) < 2:
         return None
@@ -298,15 +298,15 @@ def fig13(results: Results) -> Figure | None:
     return figure
 
 
-def lanes() -> dict[str, str]:
-    """The lanes of Fig. 15 as the axis names them, by name."""
+def settings() -> dict[str, str]:
+    """The settings of Fig. 15 as the axis names them, by name."""
     betas = {fixed(beta)[0]: f"{beta:g}" for beta in FIXED_BETAS}
     return betas | {PRESET[0]: "adaptive", EXTERNAL[0]: "adaptive,\nno intrinsic\nreward"}
 
 
-def by_task(results: Results, lane: str, kind: str) -> dict[str, np.ndarray]:
-    """Success of InfoGoal under a lane, [seeds] of each Fetch task, on the first goal set."""
-    rows = {task: row_of(results, "paper", task, "infogoal", lane) for task in FETCH}
+def by_task(results: Results, setting: str, kind: str) -> dict[str, np.ndarray]:
+    """Success of InfoGoal under a setting, [seeds] of each Fetch task, on the first goal set."""
+    rows = {task: row_of(results, "paper", task, "infogoal", setting) for task in FETCH}
     return {task: row.scores(kind)[0] for task, row in rows.items() if row is not None}
 
 
@@ -320,18 +320,18 @@ def fig15(results: Results) -> Figure | None:
     figure = empty_figure("Fetch: success under fixed beta and under the adaptive one", below, (14, 4.6))
     markers = dict(zip(FETCH, "osD", strict=True))
     for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True), kinds, strict=True):
-        for place, lane in enumerate(lanes()):
-            found = by_task(results, lane, kind)
+        for place, setting in enumerate(settings()):
+            found = by_task(results, setting, kind)
             if not found:
                 continue
             fewest = min(len(values) for values in found.values())
             mean = mean_interval(np.mean([values[:fewest] for values in found.values()], axis=0))
             half = mean.half_width if np.isfinite(mean.half_width) else None
-            colour = USE_COLOURS["test"] if lane == PRESET[0] else USE_COLOURS["train"]
+            colour = USE_COLOURS["test"] if setting == PRESET[0] else USE_COLOURS["train"]
             axes.bar(place, mean.mean, yerr=half, color=colour, alpha=0.7, capsize=4)
             for task, values in found.items():
                 axes.plot(place, values.mean(), markers[task], color="black", markersize=5)
-        axes.set_xticks(range(len(lanes())), list(lanes().values()), fontsize=8)
+        axes.set_xticks(range(len(settings())), list(settings().values()), fontsize=8)
         axes.set_title(SHOWN.get(kind, f"(c) {KINDS[kind]} goals"), fontsize=10)
         axes.set_xlabel("beta")
         finish_share_axis(axes, "success rate" if kind == kinds[0] else "")

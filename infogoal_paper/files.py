@@ -26,7 +26,7 @@ from infogoal_jax.runs import disk
 from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.runs.disk import decode
 from infogoal_paper import plan
-from infogoal_paper.manifest import FETCH, PRESET, Lane, Run
+from infogoal_paper.manifest import FETCH, PRESET, Run, Setting
 from infogoal_paper.plan import GOAL_SET_FIELDS
 
 FORMAT = 1
@@ -44,7 +44,7 @@ def home_of(run: Run) -> str:
         return "all_goals"
     if run.explorer is not None:
         return "fig8"
-    if run.lane.name == PRESET[0]:
+    if run.setting.name == PRESET[0]:
         return "table1"
     return "fig15" if run.method == "infogoal" and run.task in FETCH else "fig9"
 
@@ -121,7 +121,8 @@ def was_made_with(result: "Result", config: TrainConfig) -> bool:
 
 def run_values(run: Run) -> dict[str, Any]:
     """A run as JSON values, without what is as it is in the paper."""
-    values = json.loads(json.dumps(dataclasses.asdict(run)))
+    fields = {"lane" if name == "setting" else name: value for name, value in dataclasses.asdict(run).items()}
+    values = json.loads(json.dumps(fields))
     return {name: value for name, value in values.items() if name not in ADDED or value != ADDED[name]}
 
 
@@ -129,8 +130,9 @@ def run_from(values: dict[str, Any]) -> Run:
     """The run of `run_values`. Raises `UserError` for values that are of none, and for names that would lead out of a
     folder of runs."""
     fields = decode(RunFields, values, PLACE.within("run"))
-    lane = Lane(fields.lane[0], tuple(fields.lane[1]))
-    run = Run(**vars(fields) | {"lane": lane})
+    values = dict(vars(fields))
+    name, floats = values.pop("lane")
+    run = Run(**values, setting=Setting(name, tuple(floats)))
     parts = Path(run.name).parts
     safe = len(parts) == 5 and ".." not in parts and not os.path.isabs(run.name) and bool(run.seeds)
     require(safe, "run", run.name, f"is no name of a run; {REMEDY}")
@@ -143,7 +145,7 @@ PLACE = disk.Place(Path("about"), remedy=REMEDY)
 
 @dataclasses.dataclass(frozen=True)
 class RunFields:
-    """What a file says of its run: the fields of `Run`. lane: name, and (field, value) of each float."""
+    """What a file says of its run: the fields of `Run`. lane: its setting, as name and (field, value) of each float."""
 
     task: str
     method: str

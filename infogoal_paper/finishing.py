@@ -40,8 +40,8 @@ def ended(training: batches.Training) -> list[Run]:
 
 
 def share_out(training: batches.Training, runs: list[Run]) -> float:
-    """Share out what the batch took so far between the runs that end now and those that go on, lane by lane. Returns
-    the seconds of those that end."""
+    """Share out what the batch took so far between the runs that end now and those that go on, member by member.
+    Returns the seconds of those that end."""
     going_on = [run for run in training.batch.runs.values() if run.name not in training.costs]
     count = sum(len(run.seeds) for run in runs)
     share = count / sum(len(run.seeds) for run in going_on)

@@ -50,7 +50,7 @@ PROTOCOLS = {"visited": "goals that are achieved may enter", "held_out": "test a
 
 
 def fixed(beta: float) -> tuple[str, tuple]:
-    """The lane of InfoGoal with this beta from the first update to the last: its name and floats."""
+    """The setting of InfoGoal with this beta from the first update to the last: its name and floats."""
     return f"beta {beta:g}", (("learner.beta_start", beta), ("learner.beta_step", 0.0))
 
 
@@ -72,8 +72,8 @@ QUICK_ALL_GOALS = {
 QUICK_SEEDS = 2
 
 
-class Lane(NamedTuple):
-    """A setting of float hyperparameters beside the preset's: a lane of the program. values: (dotted name, float)."""
+class Setting(NamedTuple):
+    """What a run changes in the float hyperparameters of its preset. values: (dotted name, float)."""
 
     name: str
     values: tuple[tuple[str, float], ...]
@@ -84,7 +84,7 @@ class Run:
     """A method on a goal set of a task, with its seeds.
 
     task, method: names; relabelling, explorer: other parts than the method's, or None; goal_set: number of the goal
-    set; lane: a setting of floats; seeds: their numbers; toy: at a size at which nothing is learned; agent: another
+    set; setting: a setting of floats; seeds: their numbers; toy: at a size at which nothing is learned; agent: another
     than the task's own, or None; known_goals: which goals may enter training, as in `TrainConfig`.
     """
 
@@ -93,7 +93,7 @@ class Run:
     relabelling: str | None
     explorer: str | None
     goal_set: int
-    lane: Lane
+    setting: Setting
     seeds: tuple[int, ...]
     toy: bool = False
     agent: str | None = None
@@ -109,7 +109,7 @@ class Run:
     @property
     def name(self) -> str:
         """What tells the run from all others; its folder below the one that is given."""
-        words = [self.task, self.label, self.lane.name.replace(" ", "_"), f"set_{self.goal_set}"]
+        words = [self.task, self.label, self.setting.name.replace(" ", "_"), f"set_{self.goal_set}"]
         seeds = f"seeds_{self.seeds[0]}-{self.seeds[-1]}"
         return "/".join([*words, seeds + "_toy" * self.toy])
 
@@ -122,7 +122,7 @@ class Run:
     @property
     def row(self) -> tuple:
         """What the runs of a row of a table share: all but the goal set and the seeds."""
-        of_method = self.task, self.method, self.relabelling, self.explorer, self.lane.name
+        of_method = self.task, self.method, self.relabelling, self.explorer, self.setting.name
         return *of_method, self.agent, self.known_goals
 
     def preset(self) -> TrainConfig:
@@ -183,7 +183,7 @@ def parts_of(variant: str, task: str, method: str) -> tuple[str | None, str | No
 def table1(choice: Choice, fetch_sets: tuple[int, ...] = (0,)) -> list[Run]:
     """Table I: every method on every goal set of every task."""
     return [
-        Run(task, method, *parts, goal_set, Lane(*PRESET), tuple(range(choice.seeds)), choice.toy)
+        Run(task, method, *parts, goal_set, Setting(*PRESET), tuple(range(choice.seeds)), choice.toy)
         for task in choice.tasks or TASKS
         for variant in choice.variants
         for method in choice.methods or METHODS
@@ -193,13 +193,13 @@ def table1(choice: Choice, fetch_sets: tuple[int, ...] = (0,)) -> list[Run]:
 
 
 def of_methods(
-    choice: Choice, tasks: tuple[str, ...], methods: tuple[str, ...], lane=PRESET, explorer=None, seeds: int = 0
+    choice: Choice, tasks: tuple[str, ...], methods: tuple[str, ...], setting=PRESET, explorer=None, seeds: int = 0
 ) -> list[Run]:
     """The runs of some methods on the first goal set of some tasks, those that were asked for. seeds: how many, 0: as
     many as were asked for."""
     numbers = tuple(range(seeds or choice.seeds))
     return [
-        Run(task, method, parts_of("paper", task, method)[0], explorer, 0, Lane(*lane), numbers, choice.toy)
+        Run(task, method, parts_of("paper", task, method)[0], explorer, 0, Setting(*setting), numbers, choice.toy)
         for task in tasks
         if task in (choice.tasks or TASKS)
         for method in methods
@@ -230,8 +230,8 @@ def fig9(choice: Choice) -> list[Run]:
 
 def fixed_betas(choice: Choice, tasks: tuple[str, ...], betas: tuple[float, ...]) -> list[Run]:
     """InfoGoal as it is, and under fixed betas."""
-    lanes = (PRESET, *(fixed(beta) for beta in betas))
-    return [run for lane in lanes for run in of_methods(choice, tasks, ("infogoal",), lane=lane)]
+    settings = (PRESET, *(fixed(beta) for beta in betas))
+    return [run for setting in settings for run in of_methods(choice, tasks, ("infogoal",), setting=setting)]
 
 
 STUDIES = {
@@ -265,7 +265,7 @@ def all_goals_run(task: str, method: str, protocol: str, goal_set: int, seeds: t
     learner, _, relabelling = method.partition("+")
     parts = relabelling or parts_of("paper", task, learner)[0], None
     known = protocol_of(task, method, protocol)
-    return Run(task, learner, *parts, goal_set, Lane(*PRESET), seeds, toy, AGENTS[task], known)
+    return Run(task, learner, *parts, goal_set, Setting(*PRESET), seeds, toy, AGENTS[task], known)
 
 
 def all_goals(choice: Choice) -> list[Run]:

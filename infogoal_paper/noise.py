@@ -39,7 +39,7 @@ from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
 from infogoal_paper.batches import over_environments, stacked
-from infogoal_paper.manifest import PRESET, Lane, Run
+from infogoal_paper.manifest import PRESET, Run, Setting
 from infogoal_paper.noise_numbers import DATA_SETS, EPSILONS, HELD_OUT, NUMBERS, PARTS, SEEDS, methods_of
 from infogoal_paper.plan import config_of
 from infogoal_paper.trial_numbers import Row
@@ -63,10 +63,10 @@ def run_of(task: str, method: str, data_set: int, toy: bool, seeds: int = SEEDS)
     learner, *added = method.partition("@")[0].split("+")
     agent, known_goals = protocol if len(protocol) == 2 else (None, "visited")
     floats = noise_numbers.floats_of(task, method)
-    lane = Lane(method, tuple(floats.items())) if floats else Lane(*PRESET)
+    setting = Setting(method, tuple(floats.items())) if floats else Setting(*PRESET)
     relabelling = added[0] if added else None
     return Run(
-        name, learner, relabelling, None, data_set, lane, tuple(range(2 if toy else seeds)), toy, agent, known_goals
+        name, learner, relabelling, None, data_set, setting, tuple(range(2 if toy else seeds)), toy, agent, known_goals
     )
 
 
@@ -81,22 +81,22 @@ def to_its_end(config: TrainConfig, run: Run, share: int = 1, epochs: int | None
 
 
 def batches_on(
-    runs: list[Run], folder: Path, settings: dict[str, Any], share: int = 1, goal_images: Path | None = None
+    runs: list[Run], folder: Path, changes: dict[str, Any], share: int = 1, goal_images: Path | None = None
 ) -> list[batches.Batch]:
-    """The batches of a method on data sets of a task, with these settings in place of its preset's, trained for a share
+    """The batches of a method on data sets of a task, with these changes of its preset, trained for a share
     of its updates. The house of the tuning has a batch of its own, as its goals are split differently; it is built in
     FOLDER unless it is there. goal_images: folder of further goal sets of Fetch."""
-    settings = dict(settings)
-    epochs = settings.pop("num_epochs", None)
+    changes = dict(changes)
+    epochs = changes.pop("num_epochs", None)
     others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
-    found = batches.batches_of(others, goal_images, most_lanes=64, settings=settings) if others else []
+    found = batches.batches_of(others, goal_images, most_members=64, changes=changes) if others else []
     for run in set(runs) - set(others):
         _, dataset, _, split = tuning.tuning_house(folder)
         config = with_values(
-            config_of(dataclasses.replace(run, goal_set=0)), settings | {"env.dataset": dataset, "env.split": split}
+            config_of(dataclasses.replace(run, goal_set=0)), changes | {"env.dataset": dataset, "env.split": split}
         )
-        lanes = tuple((run.lane, seed) for seed in run.seeds)
-        found.append(batches.Batch(config, (load_environment(config),), lanes, {(0, run.lane): run}))
+        members = tuple((run.setting, seed) for seed in run.seeds)
+        found.append(batches.Batch(config, (load_environment(config),), members, {(0, run.setting): run}))
     return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0], share, epochs)) for batch in found]
 
 

@@ -91,7 +91,7 @@ def config_of(run: Run, goal_images: Path | None = None) -> TrainConfig:
     if run.toy:
         sizes |= TOY | {"buffer_steps": 10 * TOY["num_envs"] * TOY["rollout_steps"]}
         env = dataclasses.replace(env, episode_length=TOY_STEPS) if run.task in IMAGE_TASKS else env
-    return dataclasses.replace(config, env=env, hyper=with_values(config.hyper, dict(run.lane.values)), **sizes)
+    return dataclasses.replace(config, env=env, hyper=with_values(config.hyper, dict(run.setting.values)), **sizes)
 
 
 def build_data(run: Run) -> None:
@@ -235,7 +235,7 @@ def is_pictured(run: Run) -> bool:
 
 def is_judged(run: Run) -> bool:
     """Whether a claim compares the codes of this run: of all its seeds, on every goal set."""
-    plain = run.of_paper and run.lane.name == PRESET[0] and run.explorer is None and run.relabelling != "her"
+    plain = run.of_paper and run.setting.name == PRESET[0] and run.explorer is None and run.relabelling != "her"
     return run.task in PICTURED and run.method in JUDGED and plain
 
 

@@ -244,15 +244,17 @@ def by_goal_set(results: Results, row: tuple) -> dict[int, Result]:
     return {run.goal_set: results[run] for run in by_seeds}
 
 
-def row_of(results: Results, variant: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
-    """The runs of a row of Table I, or of another lane or explorer; None where there are none."""
+def row_of(
+    results: Results, variant: str, task: str, method: str, setting: str = PRESET[0], explorer=None
+) -> Row | None:
+    """The runs of a row of Table I, or of another setting or explorer; None where there are none."""
     parts = parts_of(variant, task, method)
     if parts is None:
         return None
-    by_set = by_goal_set(results, (task, method, parts[0], explorer, lane, None, "visited"))
+    by_set = by_goal_set(results, (task, method, parts[0], explorer, setting, None, "visited"))
     if not by_set:
         return None
-    in_table = explorer is None and lane == PRESET[0]  # What is beside it is run on the first goal set alone.
+    in_table = explorer is None and setting == PRESET[0]  # What is beside it is run on the first goal set alone.
     lacking = goal_sets_of(results, variant, task) - by_set.keys() if in_table else frozenset()
     return Row(tuple(by_set[number] for number in sorted(by_set)), lacking)
 
@@ -263,7 +265,7 @@ def goal_sets_of(results: Results, variant: str, task: str) -> frozenset[int]:
     return frozenset(
         run.goal_set
         for run in results
-        if (run.task, run.explorer, run.lane.name) == (task, None, PRESET[0])
+        if (run.task, run.explorer, run.setting.name) == (task, None, PRESET[0])
         and run.of_paper
         and run.method in relabellings
         and run.relabelling == relabellings[run.method]

@@ -1,12 +1,12 @@
-"""What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every lane and seed,
-the tables made of it, and the probe that says what a code still tells of its goal.
+"""What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every setting and
+seed, the tables made of it, and the probe that says what a code still tells of its goal.
 
     trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
     known_goals                      the protocol; empty in older rows, which were all under `visited`
     KIND/success_rate                of each kind of goals
     learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them
     KIND/code_error, readout_error   `code_errors`, of the goal by its code: degrees on the cube, metres on Fetch
-    seconds                          since the trial began to compile, of all its lanes; empty in older rows
+    seconds                          since the trial began to compile, of all its settings; empty in older rows
     machine                          device, versions and date
 
 A cell is empty where a trial has no such number.
@@ -109,15 +109,16 @@ def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
     return list(new)
 
 
-def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
-    """What was run of each trial: of each of its lanes how many seeds, and the updates that each of them has made."""
+def settings_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
+    """What was run of each trial: of each of its settings how many seeds, and the updates that each of them has
+    made."""
     found: dict[str, dict[str, dict[str, int]]] = {}
     for row in rows:
         seeds = found.setdefault(row["trial"], {}).setdefault(row["lane"], {})
         seeds[row["seed"]] = max(int(row["updates"]), seeds.get(row["seed"], 0))
     return {
-        trial: {lane: (len(seeds), min(seeds.values())) for lane, seeds in lanes.items()}
-        for trial, lanes in found.items()
+        trial: {setting: (len(seeds), min(seeds.values())) for setting, seeds in settings.items()}
+        for trial, settings in found.items()
     }
 
 
@@ -153,24 +154,24 @@ def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> st
     )
 
 
-def last_of_lanes(rows: list[Row]) -> Iterator[tuple[str, list[Row], str]]:
-    """Each lane of a trial with its rows of the last evaluations, and the updates at the last of them."""
+def last_of_settings(rows: list[Row]) -> Iterator[tuple[str, list[Row], str]]:
+    """Each setting of a trial with its rows of the last evaluations, and the updates at the last of them."""
     last = sorted({int(row["updates"]) for row in rows})[-LAST:]
-    for lane in dict.fromkeys(row["lane"] for row in rows):
-        shown = [row for row in rows if row["lane"] == lane and int(row["updates"]) in last]
-        yield lane, shown, f"{last[-1]:,}"
+    for setting in dict.fromkeys(row["lane"] for row in rows):
+        shown = [row for row in rows if row["lane"] == setting and int(row["updates"]) in last]
+        yield setting, shown, f"{last[-1]:,}"
 
 
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
-    """A line for every lane of these trials, which says the protocol of known goals where it is not `visited`. error:
-    the unit of the code's error and its decimals; None: the task has none."""
+    """A line for every setting of these trials, which says the protocol of known goals where it is not `visited`.
+    error: the unit of the code's error and its decimals; None: the task has none."""
     kinds = kinds_of([row for row in rows if row["trial"] in trials])
-    columns = ["trial", "lane", "seeds", "updates", *kinds.values()]
+    columns = ["trial", "setting", "seeds", "updates", *kinds.values()]
     lines = []
     for trial in trials:
-        for lane, shown, updates in last_of_lanes([row for row in rows if row["trial"] == trial]):
+        for setting, shown, updates in last_of_settings([row for row in rows if row["trial"] == trial]):
             known = shown[0].get("known_goals") or "visited"
-            words = lane if known == "visited" else f"{lane}, {known}"
+            words = setting if known == "visited" else f"{setting}, {known}"
             cells = [f"`{trial}`", words, str(len({row["seed"] for row in shown})), updates]
             cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
@@ -194,25 +195,25 @@ def without_constants(columns: list[str], lines: list[list[str]]) -> tuple[list[
 
 
 def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
-    """A line for every lane that the probe looked at, at its last evaluations. units: the unit of the errors of each
+    """A line for every setting that the probe looked at, at its last evaluations. units: the unit of the errors of each
     trial, with its decimals."""
     lines, machines = [], {}
     for trial, (unit, decimals) in units.items():
         own = [row for row in rows if row["trial"] == trial and row.get("test_goal/readout_error")]
-        for lane, shown, updates in last_of_lanes(own):
+        for setting, shown, updates in last_of_settings(own):
             errors = [show(seed_means(shown, column), decimals) for column in PROBED]
             success = [
                 show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in ("test_goal", "corrupted_test_goal")
             ]
-            lines.append([f"`{trial}`", lane, updates, unit, *errors, *success])
+            lines.append([f"`{trial}`", setting, updates, unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
-    columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
+    columns = ["trial", "setting", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
     return markdown_lines(columns, lines) + f"\n\n{machines_in_words(machines)}."
 
 
 def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
-    """A line for each pair of (trial, lane): success of the first minus that of the second, seed by seed, over the last
-    evaluations that both have."""
+    """A line for each pair of (trial, setting): success of the first minus that of the second, seed by seed, over the
+    last evaluations that both have."""
     lines, machines = [], {}
     kinds = kinds_of([row for pair in pairs for row in rows if (row["trial"], row["lane"]) in pair])
     for pair in pairs:
@@ -230,13 +231,14 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
 
 
 def difference_in_words(first: tuple[str, str], second: tuple[str, str]) -> str:
-    """Two lanes (trial, lane) that are subtracted: the trial once where it is the same, lanes where they differ."""
-    (trial, lane), (other, other_lane) = first, second
+    """Two settings (trial, setting) that are subtracted: the trial once where it is the same, settings where they
+    differ."""
+    (trial, setting), (other, other_setting) = first, second
     if trial == other:
-        return f"`{trial}`: {lane} minus {other_lane}"
-    if lane == other_lane:
+        return f"`{trial}`: {setting} minus {other_setting}"
+    if setting == other_setting:
         return f"`{trial}` minus `{other}`"
-    return f"`{trial}`, {lane}, minus `{other}`"
+    return f"`{trial}`, {setting}, minus `{other}`"
 
 
 RIDGE = 1e-3

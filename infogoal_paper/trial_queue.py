@@ -11,8 +11,8 @@ REACH, PUSH, PICK_AND_PLACE = "fetch_reach", "fetch_push", "fetch_pick_and_place
 
 
 class Trial(NamedTuple):
-    """task: of the preset; method: `infogoal`, or with another relabelling `infogoal+her`. settings: dotted fields that
-    are changed in the preset. lanes: names and float hyperparameters of each.
+    """task: of the preset; method: `infogoal`, or with another relabelling `infogoal+her`. changes: dotted fields that
+    are changed in the preset. settings: names and float hyperparameters of each.
 
     by_name: evaluate embodied question answering with the names of the objects in place of the questions about them.
     agent: another than the task's own.
@@ -20,8 +20,8 @@ class Trial(NamedTuple):
 
     task: str
     method: str
-    settings: dict[str, Any]
-    lanes: dict[str, dict[str, float]] = PRESET
+    changes: dict[str, Any]
+    settings: dict[str, dict[str, float]] = PRESET
     seeds: int = 3
     by_name: bool = False
     agent: str | None = None
@@ -100,23 +100,23 @@ FORMER_PRESETS: dict[tuple[str, str], dict[str, float]] = {
     (CUBE_TASK, "gcb+her"): FORMER_ON_CUBE | {"learner_weight": 0.1},
     **{(CUBE_TASK, f"{learner}+her"): FORMER_ON_CUBE | {"learner_weight": 1.0} for learner in ("vae", "dgrl")},
 }
-"""What presets had when the trials were made, of tasks and methods for which trials found better: every lane of theirs
-has it, unless it says otherwise."""
+"""What presets had when the trials were made, of tasks and methods for which trials found better: every setting of
+theirs has it, unless it says otherwise."""
 LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
 
 
-def chosen(lanes: dict[str, dict[str, float]], *thresholds: float) -> dict[str, dict[str, float]]:
-    """The lanes of these thresholds."""
-    return {name: values for name, values in lanes.items() if values["learner.beta_threshold"] in thresholds}
+def chosen(settings: dict[str, dict[str, float]], *thresholds: float) -> dict[str, dict[str, float]]:
+    """The settings of these thresholds."""
+    return {name: values for name, values in settings.items() if values["learner.beta_threshold"] in thresholds}
 
 
-def each_with(lanes: dict[str, dict[str, float]], values: dict[str, float]) -> dict[str, dict[str, float]]:
-    """The lanes, each with these values where it has none of its own."""
-    return {name: values | own for name, own in lanes.items()}
+def each_with(settings: dict[str, dict[str, float]], values: dict[str, float]) -> dict[str, dict[str, float]]:
+    """The settings, each with these values where it has none of its own."""
+    return {name: values | own for name, own in settings.items()}
 
 
 def searching(weights: tuple[float, ...], betas: tuple[float, ...]) -> dict[str, dict[str, float]]:
-    """Lanes of InfoBot: weights of its reward with each of these betas."""
+    """Settings of InfoBot: weights of its reward with each of these betas."""
     return {
         f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "learner.beta": beta}
         for weight in weights
@@ -148,9 +148,9 @@ TRIALS = {
     ),
     # Does it take HER and corrupted training goals together, and InfoGoal? A window of 1 lets a code be compressed.
     **{
-        f"{short}_{words}": Trial(task, method, FETCH | settings, lanes)
+        f"{short}_{words}": Trial(task, method, FETCH | changes, settings)
         for short, task in (("pick_and_place", PICK_AND_PLACE), ("reach", REACH))
-        for words, method, settings, lanes in (
+        for words, method, changes, settings in (
             ("her", "her", {}, PRESET),
             ("her_corruption", "her", CORRUPTED, PRESET),
             ("infogoal", "infogoal", {}, THRESHOLDS),
@@ -169,8 +169,8 @@ TRIALS = {
     "house_gcb": Trial(HOUSE_TASK, "gcb", HOUSE, LEARNER_SHARES),
     # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer.
     **{
-        f"cube_{dataset}_{words}": Trial(CUBE_TASK, method, confirmation(dataset) | settings, lanes, seeds=5)
-        for words, method, settings, lanes in (
+        f"cube_{dataset}_{words}": Trial(CUBE_TASK, method, confirmation(dataset) | changes, settings, seeds=5)
+        for words, method, changes, settings in (
             ("her", "her", {}, PRESET),
             ("infogoal_her_window_1", "infogoal+her", WINDOW_1, chosen(THRESHOLDS, 0.999)),
         )
@@ -186,14 +186,17 @@ TRIALS = {
     "shelf_cql_by_name": Trial(SHELF_TASK, "none", SHELF, by_name=True),
     # What is seen together counts as similar. Does it help where an image shows several objects of a region?
     **{
-        f"shelf_{short}_gathered": Trial(SHELF_TASK, method, SHELF | {"env.gathered": True}, lanes, seeds=5)
-        for short, method, lanes in (("infogoal", "infogoal", THRESHOLDS), ("cql", "none", PRESET))
+        f"shelf_{short}_gathered": Trial(SHELF_TASK, method, SHELF | {"env.gathered": True}, settings, seeds=5)
+        for short, method, settings in (("infogoal", "infogoal", THRESHOLDS), ("cql", "none", PRESET))
     },
     # A threshold of 0.999 was best on shelf 100: five seeds on the shelves that results are shown on.
     **{
-        f"shelf_{dataset}_{name}": Trial(SHELF_TASK, method, {"env.generator_seed": dataset}, lanes, seeds=5)
+        f"shelf_{dataset}_{name}": Trial(SHELF_TASK, method, {"env.generator_seed": dataset}, settings, seeds=5)
         for dataset in (0, 1, 2)
-        for name, method, lanes in (("infogoal", "infogoal", chosen(THRESHOLDS, 0.99, 0.999)), ("cql", "none", PRESET))
+        for name, method, settings in (
+            ("infogoal", "infogoal", chosen(THRESHOLDS, 0.99, 0.999)),
+            ("cql", "none", PRESET),
+        )
     },
     "reach_preset_infobot_her": Trial(REACH, "infobot+her", {}, seeds=5),
     "reach_preset_gcb_her": Trial(REACH, "gcb+her", {}, seeds=5),
@@ -217,7 +220,7 @@ TRIALS = {
     # The original GHRL gives an episode the goal that it demonstrates best, InfoGoal's authors any goal that it
     # achieved, at its first occurrence. Which reaches more validation goals?
     **{
-        f"{short}_ghrl{words}": Trial(task, "ghrl", base | settings, seeds=seeds)
+        f"{short}_ghrl{words}": Trial(task, "ghrl", base | changes, seeds=seeds)
         for short, task, base, seeds in (
             ("house", HOUSE_TASK, HOUSE, 3),
             ("reach", REACH, FETCH_AS_IN_TABLE_1, 5),
@@ -225,14 +228,14 @@ TRIALS = {
             ("pick_and_place", PICK_AND_PLACE, FETCH_AS_IN_TABLE_1, 5),
             ("cube", CUBE_TASK, CUBE | NORMALISED, 5),
         )
-        for words, settings in (("_first_occurrence", FIRST_OCCURRENCE), ("", BEST_GOAL))
+        for words, changes in (("_first_occurrence", FIRST_OCCURRENCE), ("", BEST_GOAL))
     },
     # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
     # Under DQN normalised layers lift HER and save seeds of the head (docs/research/all_goals.md). And under HRAC?
     **{
-        f"cube_{short}_norm": Trial(CUBE_TASK, method, CUBE | settings | NORMALISED, lanes)
-        for short, method, settings, lanes in (
+        f"cube_{short}_norm": Trial(CUBE_TASK, method, CUBE | changes | NORMALISED, settings)
+        for short, method, changes, settings in (
             ("her", "her", {}, PRESET),
             ("infogoal_her", "infogoal+her", WINDOW_1, chosen(THRESHOLDS, 0.999)),
             ("infogoal", "infogoal", WINDOW_1, chosen(THRESHOLDS, 0.999)),
@@ -282,8 +285,8 @@ TRIALS = {
     },
     # GCB's authors subtract phi(g, g), which exists where goals are observations. Does it help on the cube?
     **{
-        f"cube_{words}": Trial(CUBE_TASK, method, CUBE | NORMALISED | settings, lanes, seeds=5)
-        for words, method, settings, lanes in (
+        f"cube_{words}": Trial(CUBE_TASK, method, CUBE | NORMALISED | changes, settings, seeds=5)
+        for words, method, changes, settings in (
             ("gcb", "gcb", {}, PRESET),
             ("gcb_grounded", "gcb", GROUNDED, PRESET),
             ("gcb_her_grounded", "gcb+her", GROUNDED, {"found": FOUND_ON_CUBE["gcb+her"]}),
@@ -300,8 +303,8 @@ TRIALS = {
     ),
     # Is there a cube on which the bare agent has the paper's 0.40 of the test poses?
     **{
-        name: Trial(CUBE_TASK, "none", CUBE | NORMALISED | {"num_epochs": 30} | settings)
-        for name, settings in WORLDS.items()
+        name: Trial(CUBE_TASK, "none", CUBE | NORMALISED | {"num_epochs": 30} | changes)
+        for name, changes in WORLDS.items()
     },
     # With HER InfoGoal was the last of the learners on Push. Was its code too coarse there, as on PickAndPlace?
     **{
@@ -309,9 +312,9 @@ TRIALS = {
         for short, method in (("infogoal", "infogoal"), ("infogoal_her", "infogoal+her"))
     },
 }
-"""The trials, in which lanes have what they change of the presets of that time."""
+"""The trials, in which settings have what they change of the presets of that time."""
 QUEUE = {
-    name: trial._replace(lanes=each_with(trial.lanes, FORMER_PRESETS.get((trial.task, trial.method), {})))
+    name: trial._replace(settings=each_with(trial.settings, FORMER_PRESETS.get((trial.task, trial.method), {})))
     for name, trial in TRIALS.items()
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are

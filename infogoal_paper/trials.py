@@ -7,8 +7,8 @@ by side in one program.
     python -m infogoal_paper.trials --merge FOLDER
 
 `trial_queue.py` and `all_goals_queue.py` have the list of what is to be run. A trial is a preset, what is changed in
-it, and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation
-of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
+it, and *settings* of the float hyperparameters that are trained in the same compiled program. Every evaluation of every
+setting and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
 FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; --table prints the tables
 of that file, of which docs/research/trials.md says what came. --list prints the queue, and how far each trial has come
@@ -53,7 +53,7 @@ TABLES = {
 NAMED_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
 """Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
 WITHOUT_TABLE = ("cube_carries", "calibration")
-"""Trials that have no line for each lane: of the first noise.py measured the same at equal noise, on more cubes; the
+"""Trials that have no line for each setting: of the first noise.py measured the same at equal noise, on more cubes; the
 others have a table of their own."""
 OF_NORMALISED = ("cube_dqn", "shelf_goals")
 """Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
@@ -72,7 +72,11 @@ COMPARISONS = {
         ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
         for dataset in (0, 1, 2)
     ]
-    + [tuple((trial, lane) for lane in ("found", "preset")) for trial in trial_queue.QUEUE if trial.endswith("_found")]
+    + [
+        tuple((trial, setting) for setting in ("found", "preset"))
+        for trial in trial_queue.QUEUE
+        if trial.endswith("_found")
+    ]
     + [
         (("cube_gcb_grounded", "preset"), ("cube_gcb", "preset")),
         (("cube_gcb_her_grounded", "found"), ("cube_gcb_her_found", "found")),
@@ -84,7 +88,7 @@ COMPARISONS = {
         for relabelling in ("", "_her")
     ]
     + [
-        tuple((trial, lane) for lane in ("HER's settings", "preset"))
+        tuple((trial, setting) for setting in ("HER's settings", "preset"))
         for trial in trial_queue.QUEUE
         if trial.endswith("_her_settings")
     ]
@@ -99,7 +103,7 @@ COMPARISONS = {
     ],
     "house_comparisons": first_occurrence("house"),
 }
-"""Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
+"""Settings of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
 NAMES = (*TABLES, *NAMED_TABLES, *COMPARISONS, "probe", "calibration")
 """Of all tables."""
 
@@ -118,18 +122,18 @@ NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "trials" / trial_numb
 
 def configuration(trial: Trial, folder: Path) -> TrainConfig:
     """What is trained. Object search is in the house of the tuning, which is built in FOLDER unless it is there."""
-    settings = trial.settings
+    changes = trial.changes
     if trial.task == "object_search":
         _, dataset, _, split = tuning_house(folder)
-        settings = {"env.dataset": dataset, "env.split": split} | settings
-    return preset_of(trial._replace(settings=settings))
+        changes = {"env.dataset": dataset, "env.split": split} | changes
+    return preset_of(trial._replace(changes=changes))
 
 
 def preset_of(trial: Trial) -> TrainConfig:
-    """The preset of a trial with its settings."""
+    """The preset of a trial with its changes."""
     method, _, relabelling = trial.method.partition("+")
     config = presets.load(trial.task, method, relabelling=relabelling or None, agent=trial.agent)
-    return with_values(config, trial.settings)
+    return with_values(config, trial.changes)
 
 
 def asked_by_name(env):
@@ -147,7 +151,7 @@ class TrialFile(Callback):
 
     def __init__(self, name: str, trial: Trial, train: Train, env: Any, path: Path, deadline: float):
         self.name, self.trial, self.train, self.env, self.deadline = name, trial, train, env, deadline
-        self.members = [(label, seed) for label in trial.lanes for seed in range(trial.seeds)]
+        self.members = [(label, seed) for label in trial.settings for seed in range(trial.seeds)]
         self.file = open(path, "w", newline="")  # noqa: SIM115 (closed when the trial ends)
         self.table: csv.DictWriter | None = None
         self.machine, self.started = describe_machine(), time.time()
@@ -184,7 +188,7 @@ class TrialFile(Callback):
             self.table.writerow(row)
         self.file.flush()
         shown = {
-            kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(self.trial.lanes), -1).mean(1), 2).tolist()
+            kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(self.trial.settings), -1).mean(1), 2).tolist()
             for kind in KINDS
             if f"{kind}/success_rate" in metrics
         }
@@ -216,8 +220,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     train = make_train(config)
     if trial.by_name:
         train = dataclasses.replace(train, env=asked_by_name(train.env))
-    hyper = batched_hyper(config.hyper, [values for values in trial.lanes.values() for _ in range(trial.seeds)])
-    programs = side_by_side(train, list(range(trial.seeds)) * len(trial.lanes), hyper)
+    hyper = batched_hyper(config.hyper, [values for values in trial.settings.values() for _ in range(trial.seeds)])
+    programs = side_by_side(train, list(range(trial.seeds)) * len(trial.settings), hyper)
     path = folder / f"{name}.csv"
     rows = TrialFile(name, trial, train, train.env, path.with_suffix(".partial"), deadline)
     with rows.file, stop_on_signal() as stop:
@@ -228,9 +232,9 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
 
 def tables(rows: list[Row]) -> dict[str, str]:
     """Every table of trials: of each group of tasks the trials that were run, and differences. A trial all of whose
-    lanes are compared stands in the table of differences alone."""
+    settings are compared stands in the table of differences alone."""
     done = {row["trial"] for row in rows}
-    compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
+    compared = {setting for pairs in COMPARISONS.values() for pair in pairs for setting in pair}
     named = [trial for trial in QUEUE if trial.startswith(tuple(NAMED_TABLES))]
     others = [trial for trial in QUEUE if trial not in named and not trial.startswith(WITHOUT_TABLE)]
     grouped = {
@@ -238,7 +242,8 @@ def tables(rows: list[Row]) -> dict[str, str]:
             [
                 trial
                 for trial in others
-                if QUEUE[trial].task in tasks and any((trial, lane) not in compared for lane in QUEUE[trial].lanes)
+                if QUEUE[trial].task in tasks
+                and any((trial, setting) not in compared for setting in QUEUE[trial].settings)
             ],
             error,
         )
@@ -278,7 +283,7 @@ def calibration_table(rows: list[Row]) -> str:
     and on test poses, `1.00, 0.01 ± 0.02`."""
     cells, lasts, shown = {}, set(), []
     for name, world in trial_queue.WORLDS.items():
-        for _, last, updates in trial_numbers.last_of_lanes([row for row in rows if row["trial"] == name]):
+        for _, last, updates in trial_numbers.last_of_settings([row for row in rows if row["trial"] == name]):
             training, test = (trial_numbers.seed_means(last, f"{kind}_goal/success_rate") for kind in ("train", "test"))
             cells[tuple(world.values())] = ", ".join(
                 [trial_numbers.show(training, 2), trial_numbers.show(test, 2, interval=True)]
@@ -293,36 +298,37 @@ def calibration_table(rows: list[Row]) -> str:
 
 
 def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
-    """How far a trial has come, in words. updates: that each seed of it should make; ran: `trial_numbers.lanes_of` it.
+    """How far a trial has come, in words. updates: that each seed of it should make; ran: `trial_numbers.settings_of`
+    it.
 
-    A lane of other floats is another lane: what ran counts only under the names and seeds that the queue has.
+    A setting of other floats is another setting: what ran counts only under the names and seeds that the queue has.
     """
-    others = [lane for lane in ran if lane not in trial.lanes]
-    lacking = [lane for lane in trial.lanes if ran.get(lane, (0, 0))[0] < trial.seeds]
-    made = min((ran[lane][1] for lane in trial.lanes if lane in ran), default=0)
-    if len(lacking) == len(trial.lanes):
+    others = [setting for setting in ran if setting not in trial.settings]
+    lacking = [setting for setting in trial.settings if ran.get(setting, (0, 0))[0] < trial.seeds]
+    made = min((ran[setting][1] for setting in trial.settings if setting in ran), default=0)
+    if len(lacking) == len(trial.settings):
         words = "to be run"
     elif lacking:
         words = f"without {', '.join(lacking)}"
     else:
         words = "done" if made >= updates else f"{made:,} of {updates:,} updates"
-    return f"{words}; the numbers have other lanes: {', '.join(others)}" if others else words
+    return f"{words}; the numbers have other settings: {', '.join(others)}" if others else words
 
 
 def list_queue() -> None:
     """Print the queue, and how far each trial has come in the numbers that are kept."""
-    ran = trial_numbers.lanes_of(trial_numbers.read(NUMBERS)) if NUMBERS.exists() else {}
+    ran = trial_numbers.settings_of(trial_numbers.read(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
         config = preset_of(trial)
         updates = config.num_epochs * config.updates_per_epoch
         print(
             f"{name}: {trial.task}, {presets.name_of(config)}, known goals {config.known_goals}, "
-            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds: {progress_of(trial, updates, ran.get(name, {}))}"
+            f"{len(trial.settings)} setting(s) of {trial.seeds} seeds: {progress_of(trial, updates, ran.get(name, {}))}"
         )
 
 
 def print_tables(names: list[str]) -> None:
-    """Print these tables with every lane that was run; without names all of them."""
+    """Print these tables with every setting that was run; without names all of them."""
     found = tables(trial_numbers.read(NUMBERS))
     for name in names or found:
         print(f"{name}\n\n{found[name]}\n")
@@ -335,7 +341,7 @@ def main():
     parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
     parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
     parser.add_argument(
-        "--table", nargs="*", choices=NAMES, metavar="NAME", help="print these tables with every lane, and stop"
+        "--table", nargs="*", choices=NAMES, metavar="NAME", help="print these tables with every setting, and stop"
     )
     parser.add_argument(
         "--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop"
@@ -361,7 +367,7 @@ def main():
     for name in arguments.trials:
         if not (arguments.out / f"{name}.csv").exists() and time.time() < deadline:
             trial = QUEUE[name]
-            run(name, trial._replace(settings=trial.settings | further), arguments.out, deadline)
+            run(name, trial._replace(changes=trial.changes | further), arguments.out, deadline)
 
 
 if __name__ == "__main__":

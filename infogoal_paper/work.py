@@ -39,12 +39,12 @@ class Work(Place):
 
     retry: whether runs that failed, or could not be measured, are run again.
     goal_images: folder of further goal sets of Fetch.
-    most_lanes: side by side in one program.
+    most_members: side by side in one program.
     """
 
     retry: bool = False
     goal_images: Path | None = None
-    most_lanes: int = 64
+    most_members: int = 64
 
 
 @dataclasses.dataclass
@@ -87,14 +87,14 @@ class ProgramJob:
     """The runs of a program, to be trained.
 
     every: all runs of the reproduction, which its page shows.
-    retry, goal_images, most_lanes: as in `Work`.
+    retry, goal_images, most_members: as in `Work`.
     """
 
     program: Program
     every: tuple[Run, ...]
     retry: bool
     goal_images: Path | None
-    most_lanes: int
+    most_members: int
 
     @property
     def name(self) -> str:
@@ -113,7 +113,7 @@ class ProgramJob:
     def work_at(self, place: Place) -> Work:
         """The work on its runs at this place."""
         return Work(
-            **vars(place) | {"retry": self.retry, "goal_images": self.goal_images, "most_lanes": self.most_lanes}
+            **vars(place) | {"retry": self.retry, "goal_images": self.goal_images, "most_members": self.most_members}
         )
 
     def without(self, members: set[Run]) -> "ProgramJob":
@@ -167,7 +167,7 @@ TRAINED = ("done", "not measured")
 
 def jobs_of(runs: list[Run], work: Work) -> list[ProgramJob]:
     """These runs as jobs, one for each program."""
-    settings = work.retry, work.goal_images, work.most_lanes
+    settings = work.retry, work.goal_images, work.most_members
     return [ProgramJob(program, tuple(runs), *settings) for program in programs_of(runs, work.goal_images)]
 
 
@@ -219,7 +219,7 @@ def train_program(program: Program, all_runs: Iterable[Run], work: Work, stop: S
     """Train the runs of a program, and keep or report each."""
     for runs in checkpoints.apart(work.folder, program.runs):
         try:
-            found = batches.batches_of(runs, work.goal_images, work.most_lanes)
+            found = batches.batches_of(runs, work.goal_images, work.most_members)
         except Exception as error:
             report_failure(runs, error, work)
             continue

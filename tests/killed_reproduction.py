@@ -16,11 +16,11 @@ from killed_run import small_train
 
 from infogoal_jax.runner import sweep
 from infogoal_paper import batches, files, finishing, plan, work
-from infogoal_paper.manifest import Lane, Run
+from infogoal_paper.manifest import Run, Setting
 from infogoal_paper.work import Outcome, Work, work_on
 
 SEEDS = 0, 1
-LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))
+SETTINGS = Setting("preset", ()), Setting("short sight", (("discount", 0.5),))
 FEW = 20_000
 """Weights of the small program."""
 LOG = "log"
@@ -31,14 +31,16 @@ SLOW = "slow"
 def runs(count: int = 3) -> list[Run]:
     """So many programs of two settings: object search on as many houses, which are no settings of one program."""
     return [
-        Run("object_search", "none", None, None, number, lane, SEEDS, True) for number in range(count) for lane in LANES
+        Run("object_search", "none", None, None, number, setting, SEEDS, True)
+        for number in range(count)
+        for setting in SETTINGS
     ]
 
 
 @functools.cache
 def config_of(run: Run, goal_images: Path | None = None):
     """The hand-made task, of another episode length on each goal set, so that each has a program of its own."""
-    hyper = dict(run.lane.values)
+    hyper = dict(run.setting.values)
     config = hand_made.config("none", num_epochs=12, epochs_per_evaluation=2, updates_per_epoch=1 + run.goal_set)
     return dataclasses.replace(config, hyper=config.hyper.replace(**hyper))
 

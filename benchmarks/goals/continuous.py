@@ -67,21 +67,21 @@ def studies() -> dict[str, list[Setting]]:
     rules = {f"alpha {alpha}": {"learner.beta_threshold": alpha} for alpha in (0.96, 0.99, 0.997)}
     rules["beta 0"] = {"learner.beta_step": 0.0}
     weighed = [(name, 1.0) for name in rules] + [("alpha 0.96", 0.1), ("beta 0", 0.1)]
-    lanes = {f"{name}, weight {weight}": rules[name] | {"learner_weight": weight} for name, weight in weighed}
+    settings = {f"{name}, weight {weight}": rules[name] | {"learner_weight": weight} for name, weight in weighed}
     causes = []
     for task, env in held_out.items():
         causes.append(Setting(f"{task} none", task, "none", env=env))
         for window in (1, 5):
             causes += [
                 Setting(
-                    f"{task} infogoal, window {window}, {lane}",
+                    f"{task} infogoal, window {window}, {setting}",
                     task,
                     "infogoal",
                     {"window": window, "beta_rule": "linear"},
                     hyper,
                     env,
                 )
-                for lane, hyper in lanes.items()
+                for setting, hyper in settings.items()
             ]
             following = {"window": window, "beta_rule": "relative"}
             causes += [

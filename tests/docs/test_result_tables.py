@@ -145,10 +145,12 @@ def test_what_all_lines_of_a_table_of_trials_share_stands_below_it(tmp_path):
 
 
 def test_what_is_listed_as_run_is_what_the_numbers_are_of():
-    """Trials in the numbers have just the lanes and seeds of the queue, so that its floats are those that ran."""
-    ran = trial_numbers.lanes_of(trial_numbers.read(trials.NUMBERS))
-    queued = {name: dict.fromkeys(trial.lanes, trial.seeds) for name, trial in trials.QUEUE.items() if name in ran}
-    assert {name: {lane: seeds for lane, (seeds, _) in lanes.items()} for name, lanes in ran.items()} == queued
+    """Trials in the numbers have just the settings and seeds of the queue, so that its floats are those that ran."""
+    ran = trial_numbers.settings_of(trial_numbers.read(trials.NUMBERS))
+    queued = {name: dict.fromkeys(trial.settings, trial.seeds) for name, trial in trials.QUEUE.items() if name in ran}
+    assert {
+        name: {setting: seeds for setting, (seeds, _) in settings.items()} for name, settings in ran.items()
+    } == queued
 
 
 @pytest.mark.parametrize(
@@ -158,10 +160,10 @@ def test_what_is_listed_as_run_is_what_the_numbers_are_of():
         ({"a": (3, 90), "b": (3, 100)}, "90 of 100 updates"),
         ({"a": (3, 100), "b": (3, 100)}, "done"),
         ({"a": (3, 100), "b": (2, 100)}, "without b"),
-        ({"a": (3, 100), "c": (3, 100)}, "without b; the numbers have other lanes: c"),
+        ({"a": (3, 100), "c": (3, 100)}, "without b; the numbers have other settings: c"),
     ],
 )
-def test_a_trial_is_done_when_all_its_lanes_and_seeds_are(ran, words):
+def test_a_trial_is_done_when_all_its_settings_and_seeds_are(ran, words):
     trial = trials.Trial("object_search", "her", {}, {"a": {}, "b": {}}, seeds=3)
     assert trials.progress_of(trial, 100, ran) == words
 
@@ -170,5 +172,5 @@ def test_a_trial_is_done_when_all_its_lanes_and_seeds_are(ran, words):
 def test_every_trial_is_legal(name, monkeypatch, tmp_path):
     monkeypatch.setattr(trials, "tuning_house", lambda folder: ["--env.dataset", "house", "--env.split", "split.json"])
     config = trials.configuration(trials.QUEUE[name], tmp_path)
-    for values in trials.QUEUE[name].lanes.values():
+    for values in trials.QUEUE[name].settings.values():
         check(with_values(config.hyper, values))

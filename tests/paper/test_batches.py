@@ -17,7 +17,7 @@ from infogoal_jax.loading import make_train
 from infogoal_jax.runner import sweep
 from infogoal_paper import batches, files, measure, plan, progress, work
 from infogoal_paper.finishing import Extras
-from infogoal_paper.manifest import PRESET, Lane, Run
+from infogoal_paper.manifest import PRESET, Run, Setting
 
 SEEDS = 0, 1
 
@@ -78,38 +78,38 @@ def test_what_is_added_is_never_met(both):
 def batch_of(envs, values=(("discount", 0.9),)) -> batches.Batch:
     """Two seeds under two settings on each of these goal sets."""
     config = hand_made.config("infogoal", num_epochs=2, epochs_per_evaluation=1, updates_per_epoch=3)
-    settings = Lane("preset", ()), Lane("other", values)
+    settings = Setting("preset", ()), Setting("other", values)
     runs = {
-        (place, lane): Run("object_search", "infogoal", None, None, place, lane, SEEDS)
+        (place, setting): Run("object_search", "infogoal", None, None, place, setting, SEEDS)
         for place in range(len(envs))
-        for lane in settings
+        for setting in settings
     }
-    return batches.Batch(config, tuple(envs), tuple((lane, seed) for lane in settings for seed in SEEDS), runs)
+    return batches.Batch(config, tuple(envs), tuple((setting, seed) for setting in settings for seed in SEEDS), runs)
 
 
 @pytest.mark.parametrize(
     "order", [(0, 1), pytest.param((1, 0), marks=pytest.mark.long), (1,)], ids=["preset first", "preset last", "alone"]
 )
-def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path):
-    """The first lane of a batch may be another than the preset, where the preset's run is done already."""
-    fixed = Lane("beta 0.1", (("learner.beta_start", 0.1), ("learner.beta_step", 0.0)))
-    both = [Run("fetch_reach", "infogoal", None, None, 0, lane, SEEDS) for lane in (Lane(*PRESET), fixed)]
+def test_the_floats_of_a_setting_are_its_own_whichever_comes_first(order, tmp_path):
+    """The first setting of a batch may be another than the preset, where the preset's run is done already."""
+    fixed = Setting("beta 0.1", (("learner.beta_start", 0.1), ("learner.beta_step", 0.0)))
+    both = [Run("fetch_reach", "infogoal", None, None, 0, setting, SEEDS) for setting in (Setting(*PRESET), fixed)]
     (batch,) = batches.batches_of([both[place] for place in order], None, 64)
     floats = batches.floats_of(batch)
-    for (lane, _), found in zip(batch.lanes, floats, strict=True):
-        run = both[0] if lane.name == PRESET[0] else both[1]
-        assert found == values_of(plan.config_of(run).hyper), lane.name
+    for (setting, _), found in zip(batch.members, floats, strict=True):
+        run = both[0] if setting.name == PRESET[0] else both[1]
+        assert found == values_of(plan.config_of(run).hyper), setting.name
     assert len(floats) == len(order) * len(SEEDS)
 
 
 @pytest.mark.parametrize(
     ("task", "most"), [("fetch_reach", 64), pytest.param("fetch_reach", 3, marks=pytest.mark.long), ("fetch_push", 64)]
 )
-def test_goal_sets_are_side_by_side_as_far_as_the_lanes_go_but_for_push(task, most, tmp_path):
+def test_goal_sets_are_side_by_side_as_far_as_the_members_go_but_for_push(task, most, tmp_path):
     """A GPU's compiler fails on some programs of several goal sets of Push."""
     (tmp_path / "1").mkdir()
     shutil.copy(goal_images.shipped(task), tmp_path / "1" / f"{task}.npz")
-    both = [Run(task, "none", None, None, goal_set, Lane(*PRESET), SEEDS) for goal_set in (0, 1)]
+    both = [Run(task, "none", None, None, goal_set, Setting(*PRESET), SEEDS) for goal_set in (0, 1)]
     found = batches.batches_of(both, tmp_path, most)
     assert [len(batch.envs) for batch in found] == ([2] if (task, most) == ("fetch_reach", 64) else [1, 1])
     assert [run.goal_set for batch in found for run in batch.runs.values()] == [0, 1]
@@ -137,7 +137,7 @@ def test_a_goal_set_learns_as_it_does_alone(both, together):
 
 
 @pytest.mark.long
-def test_a_lane_is_the_training_function_of_its_seed(both, together):
+def test_a_member_is_the_training_function_of_its_seed(both, together):
     train = make_train(together.batch.config, both[0])
     state = train.initial(jax.random.key(1), together.batch.config.hyper, both[0])
     state, _, metrics = jax.jit(train.chunk)(state, jnp.arange(1), together.batch.config.hyper, both[0])
@@ -160,11 +160,11 @@ def test_a_learner_without_a_loss_has_no_share():
     assert measure.learner_share(make_train(hand_made.config("none"), hand_made.environment())) is None
 
 
-def test_lanes_are_cut_into_parts_that_fit():
+def test_settings_are_cut_into_parts_that_fit():
     needed = (("a", SEEDS), ("b", SEEDS), ("c", (0,)))
     assert batches.parts_of(needed, 64) == [list(needed)]
-    assert [[lane for lane, _ in part] for part in batches.parts_of(needed, 3)] == [["a"], ["b", "c"]]
-    assert [[lane for lane, _ in part] for part in batches.parts_of(needed, 1)] == [["a"], ["b"], ["c"]]
+    assert [[setting for setting, _ in part] for part in batches.parts_of(needed, 3)] == [["a"], ["b", "c"]]
+    assert [[setting for setting, _ in part] for part in batches.parts_of(needed, 1)] == [["a"], ["b"], ["c"]]
 
 
 FIRST, SECOND = runs(1)

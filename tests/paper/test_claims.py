@@ -168,8 +168,8 @@ def test_few_more_goals_are_not_many_more(results):
 
 
 def test_a_fixed_beta_that_is_missing_might_be_the_best(results):
-    lane = fixed(FIXED_BETAS[1])[0]
-    without = {run: result for run, result in results.items() if run.lane.name != lane}
+    setting = fixed(FIXED_BETAS[1])[0]
+    without = {run: result for run, result in results.items() if run.setting.name != setting}
     assert "rows are missing" in finding(without, "beta-adaptive").faults
 
 

@@ -220,7 +220,7 @@ def test_a_faulty_row_of_the_study_is_marked_in_both_tables(study):
 
 
 def test_seconds_are_shared_out_among_what_a_program_trained(study):
-    """A program of five lanes took 20 seconds for eight evaluations."""
+    """A program of five members took 20 seconds for eight evaluations."""
     result = next(iter(study.values()))
     assert all_goals.seconds_of(result).tolist() == pytest.approx([0.5 * number for number in range(1, 9)])
     row = all_goals.rows_of(study, "object_search")["leo", "held_out"]

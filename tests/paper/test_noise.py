@@ -145,7 +145,7 @@ def test_the_held_out_cube_has_its_agent_and_protocol_and_beta_0_its_floats():
     run = noise.run_of(noise_numbers.HELD_OUT, "infogoal+all_goals+beta_0", 8, toy=False)
     assert (run.task, run.method, run.relabelling) == ("object_manipulation", "infogoal", "all_goals")
     assert (run.agent, run.known_goals, run.goal_set) == ("dqn", "held_out", 8)
-    assert dict(run.lane.values) == noise_numbers.NO_BETA and len(run.seeds) == noise_numbers.SEEDS
+    assert dict(run.setting.values) == noise_numbers.NO_BETA and len(run.seeds) == noise_numbers.SEEDS
     assert noise.run_of("object_manipulation", "her", 7, toy=False).agent is None
 
 
@@ -247,7 +247,7 @@ def test_a_clean_choice_is_the_best_of_the_drawn_settings_and_a_final_decides(tm
     assert choices == {"her": {"discount": 0.03}, "vae": {"discount": 0.04}}
     monkeypatch.setattr(tuning, "clean_choices", lambda task: choices)
     run = noise.run_of("object_search+read", "her@clean", 7, toy=False)
-    assert dict(run.lane.values) == choices["her"] and run.relabelling is None and run.method == "her"
+    assert dict(run.setting.values) == choices["her"] and run.relabelling is None and run.method == "her"
     with pytest.raises(UserError, match="no clean search"):
         noise.run_of("object_search+read", "gcb+her@clean", 7, toy=False)
 
@@ -262,7 +262,7 @@ def small(method: str, data_set: int, seed: int, value: float) -> dict[str, str]
 def test_the_small_preset_is_compared_seed_by_seed_with_its_own_floats_and_epochs():
     preset = presets.load("object_search", "infogoal", small=True)
     run = noise.run_of(noise_numbers.FIRST_TRIALS, "infogoal", 7, toy=False)
-    assert dict(run.lane.values)["learning_rate"] == preset.hyper.learning_rate != run.preset().hyper.learning_rate
+    assert dict(run.setting.values)["learning_rate"] == preset.hyper.learning_rate != run.preset().hyper.learning_rate
     assert noise_numbers.settings_of(noise_numbers.FIRST_TRIALS, "her") == {"num_epochs": preset.num_epochs}
     rows = [
         small(method, house, seed, value + 0.1 * seed)

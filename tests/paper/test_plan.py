@@ -12,7 +12,7 @@ from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_paper import plan
 from infogoal_paper.files import command_of, home_of, run_from, run_values
-from infogoal_paper.manifest import ALL_GOALS, BESIDE, PRESET, STUDIES, Choice, Lane, Run, runs_of
+from infogoal_paper.manifest import ALL_GOALS, BESIDE, PRESET, STUDIES, Choice, Run, Setting, runs_of
 from infogoal_paper.paper import DESCRIPTIONS, METHODS, TABLE, TASKS
 
 
@@ -216,7 +216,7 @@ def test_a_curve_levels_off_where_its_last_window_is_no_higher(values, count):
 
 
 def test_what_comes_after_changes_nothing():
-    """Lanes of one program that have levelled off go on with the others: their number stays."""
+    """Settings of one program that have levelled off go on with the others: their number stays."""
     early = curve(0, 0.5, 1, 1, 1, 1, 1, 1)
     late = np.concatenate([early, curve(0.2, 0.1, 0.9)], axis=1)
     assert plan.levelled(early) == plan.levelled(late) and plan.shown(early) == plan.shown(late)
@@ -241,6 +241,6 @@ def test_every_task_has_a_budget(task):
 
 
 def test_what_is_measured_is_known_without_jax():
-    run = Run("object_search", "none", None, None, 0, Lane(*PRESET), (0, 1), True)
+    run = Run("object_search", "none", None, None, 0, Setting(*PRESET), (0, 1), True)
     assert plan.missing(run, None, ()) == ["codes", "pictures"]
     assert plan.missing(run, None, ("codes/closeness", "picture/code_mean")) == []

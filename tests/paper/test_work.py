@@ -46,11 +46,11 @@ def test_a_run_keeps_its_numbers(whole):
     curve = first.evaluations["train_goal/success_rate"]
     assert curve.shape == (len(SEEDS), 6) and first.arrays["first_reached"].shape[:2] == (len(SEEDS), 6)
     assert first.about["program"]["lanes"] == 4 and first.about["learner_share"] is None
-    assert not np.array_equal(curve, second.evaluations["train_goal/success_rate"])  # The lanes have other floats.
+    assert not np.array_equal(curve, second.evaluations["train_goal/success_rate"])  # The settings have other floats.
 
 
-def test_a_lane_learns_as_it_does_alone(whole, tmp_path):
-    """Lanes of one program do not touch each other."""
+def test_a_member_learns_as_it_does_alone(whole, tmp_path):
+    """Members of one program do not touch each other."""
     with killed_reproduction.small_programs(tmp_path):
         (batch,) = batches.batches_of(runs(1)[1:], None, 64)
         training = batches.begin(batch)

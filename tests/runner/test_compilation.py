@@ -206,7 +206,7 @@ def no_compiling(monkeypatch):
 
 
 @pytest.mark.parametrize(("trials", "seeds"), [(10**20, [1000]), (2, range(1000, 4 * 10**9))])
-def test_lanes_of_a_search_are_refused_before_they_are_drawn(trials, seeds, no_compiling):
+def test_settings_of_a_search_are_refused_before_they_are_drawn(trials, seeds, no_compiling):
     with pytest.raises(UserError, match=r"trials x seeds = \d+: .*give at most [1-9]"):
         search.tune(hand_made.config("none"), trials, seeds, jax.random.key(0), env=hand_made.environment())
 

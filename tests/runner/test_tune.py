@@ -1,4 +1,4 @@
-"""Random search: fair to every method, blind to test goals, and each lane is the run that its values would make
+"""Random search: fair to every method, blind to test goals, and each setting is the run that its values would make
 alone."""
 
 import dataclasses
@@ -40,7 +40,7 @@ def result(env, tmp_path_factory):
 
 
 @pytest.mark.long
-def test_each_lane_is_the_run_of_its_values_alone(result, env):
+def test_each_setting_is_the_run_of_its_values_alone(result, env):
     found, _ = result
     train = make_train(found.config, search.scored_goals_only(env)[0])
 
