@@ -196,7 +196,7 @@ def main(arguments: list[str] | None = None) -> int:
         return STATUS
     except BrokenPipeError:  # Nobody reads what is printed any more, as after `| head`.
         return 128 + signal.SIGPIPE
-    except (RuntimeError, AssertionError) as error:
+    except (RuntimeError, ValueError, AssertionError) as error:  # The second of a simulator in what `jax.jit` made.
         mistake = refused_devices() or said_by_simulator(error)
         if not mistake:
             raise

@@ -15,6 +15,7 @@ from gymnasium import spaces
 from hand_made_robots import GoalEnv, Mass
 
 from infogoal_jax import UserError, envs
+from infogoal_jax.cli import main as cli
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import live
 from infogoal_jax.envs.contract import check_contract
@@ -104,9 +105,9 @@ def test_success_is_the_environments_own():
     alone.reset(seed=int(jax.random.key_data(KEYS[1])[-1]))
     goal = np.array([0.6, 0.0], np.float32)
     alone.goal, state, told = goal, jax.jit(task.reset_to)(KEYS[1], goal), []
-    state = state.replace(world=jax.jit(task.begin)(KEYS[1]))
+    state, step = state.replace(world=jax.jit(task.begin)(KEYS[1])), jax.jit(task.step)
     for _ in range(LIMIT):
-        state = jax.jit(task.step)(state, np.array([1, 0], np.float32))
+        state = step(state, np.array([1, 0], np.float32))
         told.append(alone.step(np.array([1, 0], np.float32))[-1]["is_success"])
         assert bool(task.reached(task.achieved(state), state.goal)) == told[-1]
     assert 0 < sum(told) < LIMIT
@@ -148,9 +149,9 @@ def test_ends_of_an_episode_are_told_apart():
     """Far away the mass is lost, which is a failure; at the goal an episode ends where that is asked for."""
 
     def play(task, goal):
-        state = jax.jit(task.reset_to)(KEYS[0], jnp.array(goal))
+        state, step = jax.jit(task.reset_to)(KEYS[0], np.array(goal, np.float32)), jax.jit(task.step)
         for _ in range(LIMIT):
-            state = jax.jit(task.step)(state, jnp.ones(2))
+            state = step(state, np.ones(2, np.float32))
             if state.terminated or state.truncated:
                 break
         return [bool(flag) for flag in (state.terminated, state.truncated, task.failed(state))], int(state.time)
@@ -276,15 +277,36 @@ def flags(epochs):
     return ["--num-epochs", str(epochs), "--no-figures", *(f"--{n.replace('_', '-')}={v}" for n, v in SMALL.items())]
 
 
-def test_a_robot_that_fails_is_one_line(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def broken_id():
+    """The id of what fails after a while at Gymnasium."""
+    gymnasium.register("Broken-v0", entry_point=Broken, max_episode_steps=4 * LIMIT)
+    yield "Broken-v0"
+    del gymnasium.registry["Broken-v0"]
+
+
+def test_a_robot_that_fails_in_a_compiled_program_is_one_line(broken_id, monkeypatch, capsys):
+    """Whatever the command was about to do."""
+
+    def play(arguments):
+        task = envs.from_gymnasium(broken_id, ends_at_goal=False, num_evaluated=4)
+        state, step = jax.jit(task.reset)(KEYS[0]), jax.jit(task.step)
+        for _ in range(4 * LIMIT):
+            state = step(state, np.ones(2, np.float32))
+        jax.block_until_ready(state)
+
+    monkeypatch.setattr(cli, "run", play)
+    assert main([]) == 2
+    error = capsys.readouterr().err
+    assert error.strip().splitlines()[-1] == "infogoal: Broken-v0: raised OSError: the motor is hot"
+
+
+@pytest.mark.long
+def test_a_robot_that_fails_is_one_line_of_training(broken_id, tmp_path, monkeypatch, capsys):
     """In the evaluation, where nothing is updated."""
     hand_made.leave_out_updates(monkeypatch)
-    gymnasium.register("Broken-v0", entry_point=Broken, max_episode_steps=4 * LIMIT)
-    try:
-        out = ["--out", str(tmp_path / "run")]
-        assert main(["train", "--env", "gymnasium:Broken-v0", "--method", "none", *flags(4), *out]) == 2
-    finally:
-        del gymnasium.registry["Broken-v0"]
+    out = ["--out", str(tmp_path / "run")]
+    assert main(["train", "--env", f"gymnasium:{broken_id}", "--method", "none", *flags(4), *out]) == 2
     error = capsys.readouterr().err
     assert error.strip().splitlines()[-1] == "infogoal: Broken-v0: raised OSError: the motor is hot"
 
