@@ -239,7 +239,7 @@ def rows_of(valid, achieved) -> Trajectories:
     """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too;
     goal 0 is desired."""
     valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved)
-    zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
+    zero, nothing = (jnp.asarray(np.zeros(valid.shape, kind)) for kind in (np.int32, bool))
     return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
 
 

@@ -233,12 +233,13 @@ def test_the_training_function_checks_what_it_is_given(arguments, message, train
         train(*arguments)
 
 
-def test_what_is_traced_has_no_value_to_check(train):
+def test_what_is_traced_has_no_value_to_check():
     """Inside of `jax.jit` and `jax.vmap`; docs/guides/training.md says so."""
-    keys, hyper = jax.random.split(jax.random.key(0), 2), CONFIG.hyper.replace(discount=jnp.array([0.5, 7.0]))
+    train = make_train(hand_made.config("none"), hand_made.environment())
+    keys, hyper = jax.random.split(jax.random.key(0), 2), train.config.hyper.replace(discount=jnp.array([0.5, 7.0]))
     axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, hyper)
     shapes = jax.eval_shape(jax.vmap(train, in_axes=(0, axes, None)), keys, hyper, train.env)
-    assert shapes.metrics["test_goal/success_rate"].shape == (2, CONFIG.num_evaluations)
+    assert shapes.metrics["test_goal/success_rate"].shape == (2, train.config.num_evaluations)
 
 
 def trials_of(search: tuning.Search) -> list[searching.Trial]:

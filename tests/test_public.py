@@ -56,7 +56,7 @@ from infogoal_jax.runner import parts, training
 from infogoal_jax.runner.listeners import print_success
 from infogoal_jax.runner.training import run
 
-SHORT, LONG = 150, 5000
+SHORT, LONG = 75, 5000
 
 
 def zero(*arguments):

@@ -108,7 +108,7 @@ def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decision
     assert (batch.mask.sum(1)[batch.terminated] < 3).any()  # Some episodes end within an interval.
 
 
-@pytest.mark.parametrize("window", [0, 1, 5])
+@pytest.mark.parametrize("window", [0, pytest.param(1, marks=pytest.mark.long), 5])
 def test_pairs_lie_within_the_window_of_one_episode(rows, window):
     achieved = rows.observation % 3 != 0
 

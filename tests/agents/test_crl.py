@@ -25,7 +25,7 @@ def energy(kind, first, second):
     return -np.sqrt(((first - second) ** 2).sum(-1) + 1e-6)
 
 
-@pytest.mark.parametrize("kind", ["norm", "dot"])
+@pytest.mark.parametrize("kind", ["norm", pytest.param("dot", marks=pytest.mark.long)])
 def test_losses_of_an_update_are_those_of_jaxgcrl(kind):
     """Its definitions: energies of all pairs, symmetric InfoNCE, the penalty on rows, and the actor's log density with
     its own small constant; on random parameters."""

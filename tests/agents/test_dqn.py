@@ -69,7 +69,7 @@ def test_gap_is_never_negative():
     assert (gap >= 0).all()
 
 
-@pytest.mark.parametrize("weight", [0.0, 1.0])
+@pytest.mark.parametrize("weight", [pytest.param(0.0, marks=pytest.mark.long), 1.0])
 def test_values_of_unrecorded_moves_are_held_down(weight):
     """After training, the greedy move is a recorded one under the penalty; without it nothing keeps the others
     below."""
@@ -173,7 +173,10 @@ def inputs_of(kind: str):
     return head, jax.jit(head.init)(keys[2], features[0], codes[0]), features, codes
 
 
-@pytest.mark.parametrize("kind", [pytest.param("concatenated", marks=pytest.mark.long), "product", "index"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("concatenated", marks=pytest.mark.long), "product", pytest.param("index", marks=pytest.mark.long)],
+)
 def test_all_goals_at_once_have_the_values_of_each_alone(kind):
     head, params, features, codes = inputs_of(kind)
     values, of_all, codes = jax.jit(head.values), jax.jit(head.values_of_all), np.asarray(codes)

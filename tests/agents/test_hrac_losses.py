@@ -193,20 +193,21 @@ def test_recorded_training_pairs_carry_the_labels_that_are_remembered():
 def test_smoothing_noise_is_clipped_and_actions_stay_in_range():
     """As in TD3's own code: noise of standard deviation 0.2, clipped at 0.5."""
     action = jnp.tile(jnp.array([0.0, 0.9, -1.0]), (20_000, 1))
-    noisy = np.asarray(td3.smoothed(jax.random.key(0), action, 0.2))
+    noisy = np.asarray(jax.jit(td3.smoothed)(jax.random.key(0), action, 0.2))
     assert abs(noisy[:, 0]).max() == pytest.approx(0.5) and 0.18 < noisy[:, 0].std() < 0.2
     assert abs(noisy).max() <= 1
-    explored = np.asarray(td3.explore(jax.random.key(0), action, 0.01, 0.25))
+    explore = jax.jit(td3.explore)
+    explored = np.asarray(explore(jax.random.key(0), action, 0.01, 0.25))
     assert abs(explored).max() <= 1
     assert np.mean(abs(explored[:, 0]) > 0.06) == pytest.approx(0.25 * 0.94, abs=0.02)
-    np.testing.assert_array_equal(td3.explore(jax.random.key(0), action, 0.0, 0.0), action)
+    np.testing.assert_array_equal(explore(jax.random.key(0), action, 0.0, 0.0), action)
 
 
 def test_the_smaller_critic_sets_the_target_for_both():
     values, target = jnp.array([[0.0, 3.0], [2.0, 3.0]]), jnp.array([1.0, 3.0])
-    assert td3.critic_loss(values, target, huber=True) == pytest.approx((0.5 + 0.5) / 2)
-    assert jax.jit(jax.grad(lambda target: td3.critic_loss(values, target, huber=True)))(target).max() == 0
+    loss, slope = jax.jit(jax.value_and_grad(lambda target: td3.critic_loss(values, target, huber=True)))(target)
+    assert loss == pytest.approx((0.5 + 0.5) / 2) and slope.max() == 0
     both = td3.TwinCritic((8,))
-    params = both.init(jax.random.key(0), jnp.zeros(2), jnp.zeros(1))
-    one, other = both.apply(params, jnp.ones((5, 2)), jnp.ones((5, 1)))
+    seen = np.ones((5, 2), np.float32), np.ones((5, 1), np.float32)
+    one, other = jax.jit(lambda key: both.apply(both.init(key, *seen), *seen))(jax.random.key(0))
     assert one.shape == (5,) and not np.allclose(one, other)

@@ -40,18 +40,20 @@ def test_density_is_that_of_squashed_draws(mean, std):
         normal_cdf((np.arctanh(action + half) - mean) / std) - normal_cdf((np.arctanh(action - half) - mean) / std)
     ) / (2 * half)
     one = np.ones((39, 1))
-    found = sac.log_probability(*map(jnp.float32, (np.arctanh(action)[:, None], mean * one, np.log(std) * one)))
+    found = jax.jit(sac.log_probability)(*map(np.float32, (np.arctanh(action)[:, None], mean * one, np.log(std) * one)))
     np.testing.assert_allclose(np.exp(found), expected, rtol=1e-4, atol=1e-8)
 
 
 def test_actions_at_the_edge_have_a_finite_density_and_gradient():
     far = jnp.array([[-40.0], [40.0]])
-    found, slope = jax.value_and_grad(lambda u: sac.log_probability(u, far, jnp.zeros((2, 1))).sum())(far)
+    density = jax.jit(jax.value_and_grad(lambda u: sac.log_probability(u, far, jnp.zeros((2, 1))).sum()))
+    found, slope = density(far)
     assert np.isfinite(found) and np.isfinite(slope).all()
 
 
 @pytest.mark.parametrize(
-    ("bounded", "largest"), [(False, None), pytest.param(True, None, marks=pytest.mark.long), (True, 1.2)]
+    ("bounded", "largest"),
+    [(False, None), *(pytest.param(True, largest, marks=pytest.mark.long) for largest in (None, 1.2))],
 )
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """The trained actor draws what follows, the smaller target critic values it; entropy is worth its temperature in
@@ -78,7 +80,7 @@ def test_loss_is_that_of_the_formulas(bounded, largest):
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("target", "rises"), [(0.69, True), (-20.0, False)])
+@pytest.mark.parametrize(("target", "rises"), [(0.69, True), pytest.param(-20.0, False, marks=pytest.mark.long)])
 def test_temperature_rises_where_entropy_is_below_its_target(target, rises):
     agent, batch = agent_of("sac"), random_batch()
     params, state = started(agent)

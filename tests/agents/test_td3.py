@@ -11,7 +11,8 @@ from infogoal_jax.agents.agent import Exploration
 
 
 @pytest.mark.parametrize(
-    ("bounded", "largest"), [(False, None), pytest.param(True, None, marks=pytest.mark.long), (True, 1.2)]
+    ("bounded", "largest"),
+    [*(pytest.param(bounded, None, marks=pytest.mark.long) for bounded in (False, True)), (True, 1.2)],
 )
 def test_loss_is_that_of_the_formulas(bounded, largest):
     """Without target noise: the smaller of the target critics sets one target for both (Eq. 10), between 0 and the
@@ -39,7 +40,7 @@ def test_loss_is_that_of_the_formulas(bounded, largest):
     )
 
 
-@pytest.mark.parametrize("critic", ["concatenated", "product"])
+@pytest.mark.parametrize("critic", ["concatenated", pytest.param("product", marks=pytest.mark.long)])
 def test_noise_and_chance_alone_lead_away_from_the_best_action(critic):
     agent, batch = agent_of("td3", critic=critic, bounded=critic == "product"), random_batch()
     params, _ = started(agent)

@@ -17,7 +17,9 @@ VECTORS = ("td3", "sac", "crl")
 every_agent = pytest.mark.parametrize("name", VECTORS)
 
 
-@every_agent
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name == "sac" else []) for name in VECTORS]
+)
 def test_critics_and_encoders_learn_from_the_critics_loss_alone(name):
     """Their gradient is the same whatever the actor does, and whatever actions cost or entropy is worth, where nothing
     follows. Everything has a gradient."""

@@ -346,8 +346,15 @@ def test_a_reader_that_goes_away_is_no_error():
     assert done.stderr == "" and len(done.stdout.splitlines()) == 1
 
 
-@pytest.mark.parametrize("to", ["/dev/full", "&-"])
-@pytest.mark.parametrize(("words", "status"), [("train --help", 0), ("nonsense", 2)])
+@pytest.mark.parametrize(
+    ("words", "status", "to"),
+    [
+        ("train --help", 0, "/dev/full"),
+        pytest.param("train --help", 0, "&-", marks=pytest.mark.long),
+        pytest.param("nonsense", 2, "/dev/full", marks=pytest.mark.long),
+        ("nonsense", 2, "&-"),
+    ],
+)
 def test_output_that_nobody_takes_is_said_in_a_line(words, status, to):
     """On a disk that is full the command has failed, as those of a shell have; what is closed was not wanted. Errors
     too may be closed, and all three together."""
@@ -374,7 +381,7 @@ def test_what_is_closed_is_no_file_of_the_run(tmp_path):
     assert (tmp_path / "file").read_text() == "written"
 
 
-@pytest.mark.parametrize("platforms", ["cuda", "nowhere"])
+@pytest.mark.parametrize("platforms", ["cuda", pytest.param("nowhere", marks=pytest.mark.long)])
 def test_devices_that_are_not_there_are_named_with_the_extra(platforms):
     code = "import sys, jax; from infogoal_jax.cli import main as cli\n"
     code += "cli.run = lambda arguments: jax.devices()\nsys.exit(cli.main([]))"

@@ -129,10 +129,22 @@ def test_a_memory_is_refused_where_images_do_not_say_where_they_were_taken_and_b
         make_train(hand_made.config("sse_db", env=REMEMBERING))
 
 
-@pytest.mark.parametrize("method", ["her", pytest.param("infogoal", marks=pytest.mark.long)])
-def test_methods_train_with_a_memory(method):
+def with_a_memory(method):
+    """Training of the method on the rooms with a memory."""
     config = hand_made.config(method, env=REMEMBERING, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2)
-    result = jax.jit(make_train(config, hand_made.environment_from_above(memory=True)))(jax.random.key(0))
+    return make_train(config, hand_made.environment_from_above(memory=True))
+
+
+def test_methods_fit_a_memory():
+    """Traced, not run."""
+    result = jax.eval_shape(with_a_memory("her"), jax.random.key(0))
+    assert result.metrics["test_goal/success_rate"].shape == (1,)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["her", "infogoal"])
+def test_methods_train_with_a_memory(method):
+    result = jax.jit(with_a_memory(method))(jax.random.key(0))
     assert all(np.isfinite(value).all() for value in result.metrics.values())
 
 

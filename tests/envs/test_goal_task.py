@@ -128,7 +128,8 @@ def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case):
     assert "\n" not in str(error.value)
 
 
-def test_how_many_axes_an_observation_has_is_asked_of_a_task_once():
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.long)], ids=["masks", "program"])
+def test_how_many_axes_an_observation_has_is_asked_of_a_task_once(whole):
     """Not wherever the program asks for the actions that can be taken: a reset of a simulator takes seconds to
     trace."""
     resets = []
@@ -146,6 +147,8 @@ def test_how_many_axes_an_observation_has_is_asked_of_a_task_once():
     batch = jnp.zeros((3, 4, 2)), jnp.zeros((5, 2))
     masks = jax.jit(lambda env, *seen: [env.action_mask(one) for one in seen])(env, *batch)
     assert [mask.shape for mask in masks] == [(3, 4, 2), (5, 2)] and not resets
+    if not whole:
+        return
     state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, env)
     initial = len(resets)
     jax.eval_shape(train.chunk, state, jnp.arange(1), config.hyper, env)

@@ -206,7 +206,7 @@ def test_trains_by_dqn_with_and_without_relabelling(env):
         )
 
 
-@pytest.mark.parametrize("relabelling", ["none", "her"])
+@pytest.mark.parametrize("relabelling", [pytest.param("none", marks=pytest.mark.long), "her"])
 def test_agents_see_the_codes_of_their_goals(env, relabelling):
     """Whatever goal a transition has, desired or relabelled, the agent is given that goal's code; batches are smaller
     than the goal space."""

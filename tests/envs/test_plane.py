@@ -54,7 +54,7 @@ def test_an_episode_has_its_types_whatever_jax_is_set_to(task, mode):
     assert found == stepped()
 
 
-@pytest.mark.parametrize("task", ["point_maze", "reacher"])
+@pytest.mark.parametrize("task", ["point_maze", pytest.param("reacher", marks=pytest.mark.long)])
 def test_an_episode_in_the_plane_ends_at_its_goal(task):
     env = envs.load(task)
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))

@@ -164,7 +164,7 @@ def experience(known: np.ndarray) -> Experience:
     return hand_made.experience(rows, jnp.ones(record.shape, bool), known, dissimilarity)
 
 
-@pytest.mark.parametrize("dissimilar", [True, False])
+@pytest.mark.parametrize("dissimilar", [pytest.param(True, marks=pytest.mark.long), False])
 def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never(dissimilar):
     known = np.arange(GOALS) != UNKNOWN
     spec = SampleSpec(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)

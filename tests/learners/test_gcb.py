@@ -1,6 +1,8 @@
 """GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code
 (fixtures/README.md)."""
 
+import functools
+
 import hand_made
 import hand_made_frames
 import jax
@@ -117,6 +119,7 @@ two that end; and the first state and an end under another goal, where the first
 be met at once."""
 
 
+@functools.cache
 def learner_and_params(**changes):
     """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next
     features and rewards."""
@@ -252,7 +255,7 @@ def test_the_policy_is_given_what_is_left_to_do():
     given = np.stack([conditioned(learner, params, codes, jnp.stack([state, state])).mean for state in FEATURES])
     np.testing.assert_allclose(given[:, 1] - given[:, 0], np.tile(codes.mean[1] - codes.mean[0], (6, 1)), atol=1e-5)
     assert all(np.abs(given[0] - other).max() > 1e-3 for other in given[1:])
-    of_states = networks.MLP((64, 64), 8).apply(params["state_head"], FEATURES)
+    of_states = jax.jit(networks.MLP((64, 64), 8).apply)(params["state_head"], FEATURES)
     np.testing.assert_allclose(given[:, 0], codes.mean[0] - of_states, atol=1e-5)
 
 

@@ -80,6 +80,7 @@ def test_beta_rises_to_its_value_over_the_warm_up():
     np.testing.assert_allclose(betas, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
 
 
+@pytest.mark.long  # The loss by hand is above.
 def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
     """A code that has to tell eight goals apart (a regression in the place of the agent), under three betas."""
     learner, params, state, inputs = start()
@@ -118,7 +119,7 @@ def bonus(learner, state, codes: GoalCode, desired_goal, cell):
     return reward[:, 0], state
 
 
-@pytest.mark.parametrize("state_conditioned", [False, True])
+@pytest.mark.parametrize("state_conditioned", [pytest.param(False, marks=pytest.mark.long), True])
 def test_bonus_falls_as_one_over_the_root_of_the_visits(state_conditioned):
     learner, _, state, _ = start(state_conditioned=state_conditioned)
     codes = GoalCode(jnp.ones((GOALS, 8)), None if state_conditioned else jnp.ones((GOALS, 8)))
@@ -263,6 +264,7 @@ def test_goals_first_seen_are_those_of_the_step_that_is_learned_from():
     assert (found * mask).sum() > 0 and (found[mask > 0].max() <= table[led_to].max())
 
 
+@pytest.mark.long  # Its parts are tested above, and other methods are traced in train/test_every_method.py.
 def test_the_state_conditioned_form_fits_the_program():
     """Traced, not run: shapes of the code agree wherever it is given a state."""
     config = hand_made.config("infobot", learner=infobot.InfoBotConfig(state_conditioned=True))

@@ -28,7 +28,7 @@ def test_patches_are_put_back_together():
         np.testing.assert_array_equal(networks.unpatched(networks.patches(images, side), side), images)
 
 
-@pytest.mark.parametrize("standardise", [False, True])
+@pytest.mark.parametrize("standardise", [pytest.param(False, marks=pytest.mark.long), True])
 def test_targets_are_what_the_encoders_first_layer_sees(standardise):
     layers = networks.ImageLayers(standardise)
     params = jax.jit(layers.init)(jax.random.key(0), IMAGES)
@@ -132,7 +132,7 @@ def test_the_kl_s_weight_rises_over_the_warm_up():
         np.testing.assert_allclose(loss * size - surprise, 2.0 * share * metrics["kl"], rtol=1e-4)
 
 
-@pytest.mark.parametrize("standardise", [True, False])
+@pytest.mark.parametrize("standardise", [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize("method", ["vae", pytest.param("dgrl", marks=pytest.mark.long)])
 def test_contrast_counts_for_nothing_where_images_are_standardised(method, standardise):
     """The target is standardised with the input."""
@@ -173,23 +173,34 @@ def discrete():
     )
 
 
+def segments_of(encoder_params, goals) -> np.ndarray:
+    """The segments of the codes of goals before quantisation, [N, factors, d / factors]."""
+    return np.asarray(jax.jit(dgrl.segments_of, static_argnums=0)(DISCRETE, encoder_params, goals))
+
+
 def test_codebook_starts_among_the_segments_of_goals():
     params, _ = begun(dgrl.make(DISCRETE), VECTORS)
-    segments = dgrl.segments_of(DISCRETE, params["encoder"], VECTORS).reshape(-1, 2)
-    distance = jnp.linalg.norm(params["codebook"][:, None] - segments, axis=-1).min(1)
+    segments = segments_of(params["encoder"], VECTORS).reshape(-1, 2)
+    distance = np.linalg.norm(np.asarray(params["codebook"])[:, None] - segments, axis=-1).min(1)
     assert (distance < 0.1 * segments.std()).all()
     assert len(np.unique(params["codebook"], axis=0)) == DISCRETE.codes
 
 
+@jax.jit
+def nearest_of(params, goals):
+    """See `indices_of`."""
+    return dgrl.nearest(dgrl.segments_of(DISCRETE, params["encoder"], goals), params["codebook"])
+
+
 def indices_of(params, goals) -> np.ndarray:
     """The indices of the code vectors of goals, int [N, factors]."""
-    return np.asarray(dgrl.nearest(dgrl.segments_of(DISCRETE, params["encoder"], goals), params["codebook"]))
+    return np.asarray(nearest_of(params, goals))
 
 
 def test_each_segment_is_replaced_by_the_nearest_code_vector(discrete):
     learner, params, _ = discrete
-    segments = np.asarray(dgrl.segments_of(DISCRETE, params["encoder"], VECTORS))
-    codes = np.asarray(learner.encode(params, VECTORS).mean).reshape(segments.shape)
+    segments = segments_of(params["encoder"], VECTORS)
+    codes = np.asarray(jax.jit(learner.encode)(params, VECTORS).mean).reshape(segments.shape)
     indices = indices_of(params, VECTORS)
     codebook = np.asarray(params["codebook"])
     for goal, factor in np.ndindex(*indices.shape):
@@ -204,7 +215,7 @@ def test_many_goals_share_few_codes(discrete):
     learner, params, _ = discrete
     goals = jax.random.normal(jax.random.key(2), (2000, 16))
     params = params | {"codebook": params["codebook"][:3]}
-    distinct = np.unique(learner.encode(params, goals).mean, axis=0)
+    distinct = np.unique(jax.jit(learner.encode)(params, goals).mean, axis=0)
     assert 3 < len(distinct) <= 81
     assert len(distinct) == len(np.unique(indices_of(params, goals), axis=0))
 
@@ -260,8 +271,9 @@ def test_only_code_vectors_that_were_idle_for_long_are_revived(discrete):
 
 def test_use_is_counted():
     state = dgrl.DGRLState(jnp.zeros(3), jnp.array([0, 5, 7]), jnp.zeros((3, 2)))
-    state, _ = jax.lax.scan(
-        lambda state, _: (dgrl.after_use(state, jnp.array([[0, 0], [0, 2]])), None), state, length=1000
+    used = np.array([[0, 0], [0, 2]])
+    state = jax.jit(lambda state: jax.lax.fori_loop(0, 1000, lambda _, state: dgrl.after_use(state, used), state))(
+        state
     )
     np.testing.assert_array_equal(state.idle, [0, 1005, 0])
     np.testing.assert_allclose(state.usage, [0.75, 0, 0.25], atol=1e-3)

@@ -88,7 +88,9 @@ def batch_of(envs, values=(("discount", 0.9),)) -> batches.Batch:
 
 
 @pytest.mark.parametrize(
-    "order", [(0, 1), pytest.param((1, 0), marks=pytest.mark.long), (1,)], ids=["preset first", "preset last", "alone"]
+    "order",
+    [(0, 1), pytest.param((1, 0), marks=pytest.mark.long), pytest.param((1,), marks=pytest.mark.long)],
+    ids=["preset first", "preset last", "alone"],
 )
 def test_the_floats_of_a_setting_are_its_own_whichever_comes_first(order, tmp_path):
     """The first setting of a batch may be another than the preset, where the preset's run is done already."""
@@ -103,7 +105,11 @@ def test_the_floats_of_a_setting_are_its_own_whichever_comes_first(order, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("task", "most"), [("fetch_reach", 64), pytest.param("fetch_reach", 3, marks=pytest.mark.long), ("fetch_push", 64)]
+    ("task", "most"),
+    [
+        ("fetch_reach", 64),
+        *(pytest.param(*each, marks=pytest.mark.long) for each in (("fetch_reach", 3), ("fetch_push", 64))),
+    ],
 )
 def test_goal_sets_are_side_by_side_as_far_as_the_members_go_but_for_push(task, most, tmp_path):
     """A GPU's compiler fails on some programs of several goal sets of Push."""
@@ -286,7 +292,7 @@ def test_a_run_goes_on_from_the_checkpoint_of_others_too(whole, tmp_path, evalua
         np.testing.assert_allclose(mine["test_goal/success_rate"], other["test_goal/success_rate"], atol=1e-5)
 
 
-@pytest.mark.parametrize("end", ["trained to it", "found at it when resumed"])
+@pytest.mark.parametrize("end", ["trained to it", pytest.param("found at it when resumed", marks=pytest.mark.long)])
 def test_what_is_measured_later_costs_its_training_once(end, tmp_path, monkeypatch, request):
     """A run of a batch of two says of the program what the other one does, whoever measures it alone."""
     if end == "found at it when resumed":

@@ -66,7 +66,14 @@ def test_what_is_done_is_not_done_again(whole):
     assert not reproduce(whole, 2).finished and log_of(whole, "begun") == begun
 
 
-@pytest.mark.parametrize("damage", ["cut short", "one byte", "another run"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        pytest.param("cut short", marks=pytest.mark.long),
+        "one byte",
+        pytest.param("another run", marks=pytest.mark.long),
+    ],
+)
 def test_a_damaged_run_is_made_again(whole, tmp_path, damage):
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
     path, other = (files.path_of(tmp_path, run) for run in runs(1))
@@ -159,7 +166,7 @@ def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
     assert reproduce(tmp_path, 1).finished == runs(1)[:1]
 
 
-@pytest.mark.parametrize("end", ["clock", "killed"])
+@pytest.mark.parametrize("end", [pytest.param("clock", marks=pytest.mark.long), "killed"])
 def test_it_goes_on_from_the_checkpoint(end, whole, tmp_path, evaluations, monkeypatch):
     """The same numbers as those of a run that was left alone, and no evaluation twice."""
     advance = sweep.advance
@@ -206,7 +213,11 @@ def first_levels_early(whole, monkeypatch):
     monkeypatch.setattr(plan, "levelled", levelled)
 
 
-@pytest.mark.parametrize(("seconds", "sizes"), [(0.0, [4, 4, 4, 2, 2, 2]), (1e9, [4] * 6)], ids=["leaves", "stays"])
+@pytest.mark.parametrize(
+    ("seconds", "sizes"),
+    [(0.0, [4, 4, 4, 2, 2, 2]), pytest.param(1e9, [4] * 6, marks=pytest.mark.long)],
+    ids=["leaves", "stays"],
+)
 def test_a_run_that_has_levelled_off_is_written_at_once(
     seconds, sizes, whole, first_levels_early, tmp_path, monkeypatch
 ):

@@ -28,9 +28,9 @@ DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
 ALWAYS = [
     ("her", HERConfig(future_share=1.0)),
-    ("her", HERConfig(future_share=1.0, strategy="prefix")),
+    pytest.param("her", HERConfig(future_share=1.0, strategy="prefix"), marks=pytest.mark.long),
     ("cher", CHERConfig(future_share=1.0)),
-    ("ghrl", GHRLConfig(share=1.0)),
+    pytest.param("ghrl", GHRLConfig(share=1.0), marks=pytest.mark.long),
     ("ghrl", GHRLConfig(share=1.0, choice="best")),
 ]
 

@@ -214,6 +214,7 @@ def test_as_much_of_the_path_as_tells_runs_apart(names, ends, folders, tmp_path,
     assert titles == [f"infogoal ({end})" for end in ends]
 
 
+@pytest.mark.long  # Figures that labels name, and of the command, are drawn below.
 def test_figure_is_written(folders, env, tmp_path):
     path = draw_comparison(folders, tmp_path / "figures" / "eight.png", env)
     picture = imread(path)[..., :3]

@@ -115,6 +115,13 @@ def test_an_episode_goes_to_a_typed_goal(folder):
         rollout(run.env, run.policy(), [1.2, 3.7], jax.random.key(0))
 
 
+@pytest.fixture(scope="module")
+def policy(maze):
+    """Of parameters drawn at random."""
+    train = make_train(CONFIG, maze)
+    return train.policy(hand_made_points.random_params(train), CONFIG.hyper, maze)
+
+
 @pytest.mark.parametrize(
     ("observation", "goal", "said"),
     [
@@ -129,9 +136,7 @@ def test_an_episode_goes_to_a_typed_goal(folder):
         (np.ones((1, 2)), np.array([[1, 9.0]]), r"goal = \[1.0, 9.0\]: lies outside; give 0 to 3, 0 to 3"),
     ],
 )
-def test_a_policy_says_what_is_no_observation_and_no_goal(maze, observation, goal, said):
-    train = make_train(CONFIG, maze)
-    policy = train.policy(hand_made_points.random_params(train), CONFIG.hyper, maze)
+def test_a_policy_says_what_is_no_observation_and_no_goal(policy, observation, goal, said):
     assert policy(np.ones((1, 2)), np.ones((1, 2)), jax.random.key(0)).shape == (1, 2)
     with pytest.raises(UserError, match=said):
         policy(observation, goal, jax.random.key(0))

@@ -105,6 +105,7 @@ def test_an_old_video_survives_a_new_one_that_fails(tmp_path):
     assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.long  # Pictures of the robot are in bridges/test_gymnasium.py, a video by `draw` in cli/test_import.py.
 def test_a_run_whose_goals_are_positions_becomes_a_video(tmp_path):
     """The scene with the goal in it; an episode has reached its goal where its last state has."""
     env = envs.load("fetch_reach_positions", dataclasses.replace(CONFIG, goals="positions", episode_length=2))

@@ -130,7 +130,9 @@ def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
     assert all(row["epoch"] == 4 and 0 <= row["train_goal/success_rate"] <= 1 for row in rows)
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize(
+    "width", [60, pytest.param(80, marks=pytest.mark.long), pytest.param(120, marks=pytest.mark.long)]
+)
 def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
     """Bar, count, time left and success, as of a single run, over all that is to be trained."""
     terminal, drawn = Console(file=io.StringIO(), force_terminal=True, width=width), []
@@ -155,6 +157,7 @@ def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
     assert printed.count("loading 0.") >= 2 and "epoch 2/4" not in printed and "━" in printed
 
 
+@pytest.mark.long  # The line of one run in a notebook is in test_host.py.
 def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
     shown = []
 
@@ -172,6 +175,7 @@ def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
     assert "8/8  train 0." in shown[-1] and capsys.readouterr().out.count("learning_rate=0.0003: train 0.") == 1
 
 
+@pytest.mark.long  # A run that goes on counts its own epochs in test_host.py.
 def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
     plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4, 1e-3]}), [0], 0)
     parts.start(CONFIG, plan, tmp_path / "sweep")

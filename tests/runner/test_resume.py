@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import time
-from pathlib import Path
 
 import hand_made
 import jax
@@ -34,18 +33,12 @@ def small_program(monkeypatch):
     monkeypatch.setattr(training, "make_train", killed_run.small_train)
 
 
-def finish(folder: Path) -> Path:
-    """Run to the end in a process of its own. Returns the folder."""
-    process, _ = killed_run.start("small", folder)
-    process.join()
-    assert process.exitcode == 0
-    return folder
-
-
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory):
+def uninterrupted(tmp_path_factory, env):
     """A run that was never killed."""
-    return finish(tmp_path_factory.mktemp("whole") / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "make_train", killed_run.small_train)
+        return training.run(small_config(), [0, 1], tmp_path_factory.mktemp("whole") / "run", env=env).folder
 
 
 @pytest.mark.parametrize("looks_large", [False, pytest.param(True, marks=pytest.mark.long)])
@@ -193,12 +186,12 @@ def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
     assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
-def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_path):
+def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrupted, env, tmp_path):
     """Poison one seed's parameters in a checkpoint of the small program, go on for a chunk, and compare with going on
     from the sound checkpoint. `test_training.py` poisons a seed of the real one."""
     folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(small_config(), num_epochs=26)
-    training.run(small_config(), [0, 1], folder, env=env)
-    shutil.copytree(folder, sound)
+    for copy in (folder, sound):
+        shutil.copytree(uninterrupted, copy)
     header, states = checkpoint.load(folder / "checkpoint", states_shape(env))
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
     for leaf in jax.tree.leaves(params):
@@ -211,7 +204,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_p
     jax.tree.map(np.testing.assert_array_equal, first, second)
 
 
-def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
+def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, env, tmp_path):
     process, _ = killed_run.start("small", tmp_path / "run")
     while not (tmp_path / "run" / "checkpoint").exists():
         assert process.is_alive()
@@ -220,7 +213,7 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
     process.join()
     reached = json.loads((tmp_path / "run" / "checkpoint").read_bytes().partition(b"\n")[0])["epoch"]
     assert 2 <= reached <= 24 and process.exitcode == (0 if reached == 24 else killed_run.STOPPED)
-    finish(tmp_path / "run")
+    training.run(small_config(), [0, 1], tmp_path / "run", resume=True, env=env)
     assert same_run(tmp_path / "run", uninterrupted)
 
 

@@ -138,11 +138,12 @@ def test_the_space_is_one_of_hyperparameters_that_can_be_had():
 @pytest.mark.parametrize(
     ("method", "changes", "searched", "left_alone"),
     [
-        (
+        pytest.param(
             "none",
             {"agent": "cql"},
             {"agent.conservative_weight", "epsilon"},
             {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"},
+            marks=pytest.mark.long,
         ),
         ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
     ],

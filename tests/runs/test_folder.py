@@ -273,7 +273,8 @@ def test_stopped_at_random_moments_it_ends_with_the_same_bits(kind, times, whole
     assert end_at_random(kind, whole, tmp_path, signal.SIGTERM, times).total() >= times
 
 
-@pytest.mark.parametrize("races", [1, pytest.param(50, marks=pytest.mark.long)])
+@pytest.mark.long  # That a second writer is refused, of its own process and of another, is above.
+@pytest.mark.parametrize("races", [50])
 def test_of_two_writers_one_is_refused_and_the_other_s_run_is_whole(races, tmp_path):
     for race in range(races):
         folder = tmp_path / str(race)

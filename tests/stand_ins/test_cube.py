@@ -116,7 +116,7 @@ def test_physical_limits_leave_what_the_arm_reaches():
     assert np.abs(degrees[:, 0]).max() <= 170 and degrees[:, 1].min() >= -100 and degrees[:, 1].max() <= 135
 
 
-@pytest.mark.parametrize("physical_limits", [False, True])
+@pytest.mark.parametrize("physical_limits", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_move_turns_one_joint_by_one_step_and_its_opposite_turns_it_back(physical_limits):
     frame, action, next_frame = cube.moves(physical_limits)
     setting = cube.settings(physical_limits)

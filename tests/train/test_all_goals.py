@@ -110,7 +110,7 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
     assert drawn(achieved, 0, 0.5, 0.25) is None
 
 
-@pytest.mark.parametrize("code", ["sampled", "mean"])
+@pytest.mark.parametrize("code", [pytest.param("sampled", marks=pytest.mark.long), "mean"])
 def test_an_agent_that_learns_from_means_of_codes_acts_on_them(begun, code):
     """However often it acts, it does the same."""
     train, (_, state) = training("infogoal", relabelling=AllGoalsConfig(code=code)), begun

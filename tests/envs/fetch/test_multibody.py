@@ -15,8 +15,8 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.envs.fetch.vectors import Rotation, Vector
 
 CASES = [
-    ("fetch_reach", model.FAST),
-    ("fetch_reach", model.FAITHFUL),
+    pytest.param(("fetch_reach", model.FAST), marks=pytest.mark.long),
+    pytest.param(("fetch_reach", model.FAITHFUL), marks=pytest.mark.long),
     ("fetch_pick_and_place", model.FAITHFUL),
     ("fetch_slide", model.FAST),
 ]
@@ -84,7 +84,7 @@ def test_axes_are_the_jacobian_of_every_point(compared):
         np.testing.assert_allclose(moves[on_chain], theirs.T[on_chain], atol=5e-6)
 
 
-@pytest.mark.parametrize("task", ["fetch_reach", "fetch_pick_and_place"])
+@pytest.mark.parametrize("task", [pytest.param("fetch_reach", marks=pytest.mark.long), "fetch_pick_and_place"])
 def test_the_start_needs_no_kinematics_and_is_what_kinematics_gives(task):
     """Where bodies are at the start of an episode are constants: those of the start's joint positions."""
     ours = physics.load(TASKS[task], model.FAITHFUL)
@@ -133,7 +133,11 @@ def test_closed_fingers_are_where_kinematics_puts_them():
 
 @pytest.mark.parametrize(
     ("task", "step", "reset"),
-    [("fetch_reach", 3200, 500), ("fetch_push", 3700, 700), ("fetch_pick_and_place", 3900, 700)],
+    [
+        pytest.param("fetch_reach", 3200, 500, marks=pytest.mark.long),
+        pytest.param("fetch_push", 3700, 700, marks=pytest.mark.long),
+        ("fetch_pick_and_place", 3900, 700),
+    ],
 )
 def test_the_programs_stay_small(task, step, reset):
     """Operations of a control step and of a reset: a step had 19,000 to 27,500 of them, and took minutes to compile."""

@@ -69,7 +69,10 @@ def test_every_subgoal_means_a_target_within_reach(task):
     np.testing.assert_allclose(stay[inside, -3:], position[inside], atol=1e-6)
 
 
-@each_task
+@pytest.mark.parametrize(
+    "task",
+    [*(pytest.param(task, marks=pytest.mark.long) for task in ("fetch_reach", "fetch_push")), "fetch_pick_and_place"],
+)
 def test_target_states_are_an_ordinary_task(task):
     """It keeps the contract; a goal is the finished task, the grip at the object's place."""
     env = envs.load(f"{task}_targets")
