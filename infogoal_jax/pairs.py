@@ -71,15 +71,6 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
     return dissimilarity & dissimilarity.T
 
 
-def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
-    """Count the dissimilar pairs of seen goals within and between regions. The counts show whether the window fits the
-    geometry."""
-    same_region = regions[:, None] == regions[None, :]
-    upper = jnp.triu(dissimilarity & seen[:, None] & seen[None, :])
-    counted = {"dissimilar_within": upper & same_region, "dissimilar_between": upper & ~same_region}
-    return {name: found.sum(dtype=jnp.int32) for name, found in counted.items()}
-
-
 def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
     """Draw one of the goals [..., K, *shape], uniformly among those that there are; "no goal" where there is none."""
     there = is_goal(goals)

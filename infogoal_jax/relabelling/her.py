@@ -165,6 +165,14 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
     return Occurrences(goal, step, size, episode_starts(rows))
 
 
+def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
+    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
+    padded with -1."""
+    seen = occurrences(goals, rows, num_goals)
+    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
+    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))
+
+
 def prefix_goal(
     key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array, first_occurrence: bool = False
 ) -> jax.Array:

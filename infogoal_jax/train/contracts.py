@@ -11,6 +11,7 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import UserError, require, shown
+from infogoal_jax.learners.learner import GoalCode
 
 
 def check_is_environment(env: Any, remedy: str = "give an environment, such as envs.load makes") -> None:
@@ -38,6 +39,30 @@ def checked_policy(env: Environment, policy: Any) -> Callable:
         actions = checks.called("policy", policy, observation, goal, key)
         check_actions(env, actions, jax.tree.leaves(observation)[0].shape[0])
         return actions
+
+    return checked
+
+
+def with_checked_inputs(policy: Callable, env: Environment, seen: Any) -> Callable:
+    """The policy, which raises `UserError` for observations of other shapes than these, for goals that the task does
+    not have, and for what is not finite; of arrays that are traced the shapes alone are known. seen: of one
+    observation."""
+
+    def check(place, wanted, given):
+        is_whole = jnp.issubdtype(wanted.dtype, jnp.integer)
+        shape = ("E", *wanted.shape)
+        remedy = f"give observations of the task, {checks.written(shape, str(wanted.dtype))}"
+        name = f"observation{jax.tree_util.keystr(place)}"
+        checks.array(given, name, "whole numbers" if is_whole else "numbers", shape, remedy)
+
+    def checked(observation, goal, key):
+        mine, wanted = jax.tree.structure(observation), jax.tree.structure(seen)
+        fits = mine == wanted or jax.tree_util.treedef_is_leaf(wanted)  # One array may be given as nested lists.
+        require(fits, "observation", mine, f"give observations of the task, {wanted}")
+        jax.tree_util.tree_map_with_path(check, seen, observation)
+        if not isinstance(goal, GoalCode):
+            env.goals.checked(goal, "goal", axes=1)
+        return policy(observation, goal, key)
 
     return checked
 

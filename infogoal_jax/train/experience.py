@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import is_goal, no_goals_like, select
 from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.learners.learner import GoalCode, NewSteps
-from infogoal_jax.relabelling.her import occurrences
+from infogoal_jax.relabelling.her import first_seen
 from infogoal_jax.relabelling.relabelling import Achievements
-from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.parts import COLLECT, CORRUPT, Setup, TrainState, encode_states, numbered
+from infogoal_jax.replay import Trajectories, Transitions
+from infogoal_jax.train.exploring import explore
+from infogoal_jax.train.parts import COLLECT, CORRUPT, Setup, TrainState, numbered
 from infogoal_jax.train.relabelling_context import relabelling_context
 from infogoal_jax.train.rollout import collect, training_policy
 
@@ -122,9 +124,14 @@ def usable_goals(setup: Setup, record: jax.Array) -> jax.Array:
     return select(usable, goals, no_goals_like(goals))
 
 
+def external_reward(env: Environment, transitions: Transitions) -> jax.Array:
+    """The environment's reward for each step, float32 [B, n] (Eq. 5): 1 for reaching the desired goal."""
+    return env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
+
+
 def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[Experience, TrainState]:
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
-    parts, hyper, env = setup
+    parts, _, env = setup
     offline = env.recorded is not None
     buffer = env.recorded if offline else state.buffer
     written = jnp.arange(buffer.valid.shape[0], dtype=jnp.int32) < (
@@ -147,13 +154,7 @@ def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[E
         table = None if parts.relabelling is None else parts.relabelling.prepare(context)
         learner_table = None if learner_relabelling is None else learner_relabelling.prepare(context)
     if parts.explorer is not None:
-        features = encode_states(setup, state.params, env.num_observations)(
-            jnp.arange(env.num_observations, dtype=jnp.int32)
-        )
-        bonus, explored = parts.explorer.compute_bonus(
-            state.params["explorer"], state.explorer, features, buffer, written, hyper.discount
-        )
-        state = state.replace(explorer=explored)
+        bonus, state = explore(setup, state, buffer, written)
     return Experience(
         buffer=buffer,
         decision_count=replay.running_count(buffer.valid & buffer.decided),
@@ -169,11 +170,3 @@ def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[E
         episode=None if env.goals.finite else buffer.episode(),
         first_seen=first_seen(goals, buffer, env.goals.num_goals) if parts.learner.sample_spec.first_seen else None,
     ), state
-
-
-def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
-    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
-    padded with -1."""
-    seen = occurrences(goals, rows, num_goals)
-    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
-    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))

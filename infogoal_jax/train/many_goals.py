@@ -6,9 +6,29 @@ import jax.numpy as jnp
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax.agents.agent import AllGoals
 from infogoal_jax.agents.value_heads import returns_of_all
+from infogoal_jax.goals import select
+from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
+from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Networks, Setup, code_seen, goal_encoding
+
+
+def goals_to_learn(setup: Setup, experience: Experience) -> jax.Array:
+    """Goals of a finite set that something may be learned of: known ones, and those that are desired from the start;
+    bool [N]."""
+    return experience.known.mask | setup.env.goals.desired_mask
+
+
+def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, num: int) -> jax.Array:
+    """Goals [num, *shape] that something may be learned of: known ones and training goals. In a continuous space half
+    of them are of each kind."""
+    if setup.env.goals.finite:
+        return goal_pairs.choose_from_mask(key, goals_to_learn(setup, experience), (num,))
+    known_key, desired_key, choose_key = jax.random.split(key, 3)
+    desired_goal = jax.vmap(setup.env.goals.draw)(jax.random.split(desired_key, num))
+    take_known = draw_chance(choose_key, 0.5, (num,)) & experience.known.any()
+    return select(take_known, experience.known.draw(known_key, (num,)), desired_goal)
 
 
 def draw_goals(

@@ -20,14 +20,15 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax import pairs, replay
+from infogoal_jax import replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
-from infogoal_jax.train.contracts import check_simulated
+from infogoal_jax.train.contracts import check_simulated, with_checked_inputs
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate_settings
 from infogoal_jax.train.experience import collect_epoch, experience_of, first_dissimilarity, update_statistics
+from infogoal_jax.train.metrics import count_dissimilar_regions
 from infogoal_jax.train.parts import (
     INITIAL,
     UPDATE,
@@ -40,7 +41,7 @@ from infogoal_jax.train.parts import (
     make_parts,
     numbered,
 )
-from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy, with_checked_inputs
+from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy
 from infogoal_jax.train.update import updates
 
 
@@ -185,7 +186,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         state, metrics = updates(setup, experience, state, update_key, config.updates_per_epoch)
         metrics |= collected
         if learner.sample_spec.num_pairs and env.goals.finite:
-            left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
+            left = count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}
 

@@ -7,9 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import checks
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.errors import require
 from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.learners.learner import Encode, GoalCode, conditioned
 from infogoal_jax.replay import Trajectories
@@ -62,30 +60,6 @@ def trained_policy(setup: Setup, params: dict, use_mean: bool | jax.Array = Fals
     return policy(setup, params, exploration, encode, use_mean | tests_on_means(parts))
 
 
-def with_checked_inputs(policy: Policy, env, seen: Any) -> Policy:
-    """The policy, which raises `UserError` for observations of other shapes than these, for goals that the task does
-    not have, and for what is not finite; of arrays that are traced the shapes alone are known. seen: of one
-    observation."""
-
-    def check(place, wanted, given):
-        is_whole = jnp.issubdtype(wanted.dtype, jnp.integer)
-        shape = ("E", *wanted.shape)
-        remedy = f"give observations of the task, {checks.written(shape, str(wanted.dtype))}"
-        name = f"observation{jax.tree_util.keystr(place)}"
-        checks.array(given, name, "whole numbers" if is_whole else "numbers", shape, remedy)
-
-    def checked(observation, goal, key):
-        mine, wanted = jax.tree.structure(observation), jax.tree.structure(seen)
-        fits = mine == wanted or jax.tree_util.treedef_is_leaf(wanted)  # One array may be given as nested lists.
-        require(fits, "observation", mine, f"give observations of the task, {wanted}")
-        jax.tree_util.tree_map_with_path(check, seen, observation)
-        if not isinstance(goal, GoalCode):
-            env.goals.checked(goal, "goal", axes=1)
-        return policy(observation, goal, key)
-
-    return checked
-
-
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     """`num_steps` steps of E environments.
 
@@ -101,19 +75,7 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         actions = policy(env.observe(states), states.goal, act_key)
         stepped = jax.vmap(env.step)(states, actions)
         following = restarted(env, finished, stepped, jax.random.split(reset_key, num_envs))
-        outcome = {
-            "observation": env.observe(states),
-            "record": env.achieved(states),
-            "action": actions,
-            "goal": states.goal,
-            "valid": ~finished & ~stepped.diverged,
-            "terminated": ~finished & stepped.terminated,
-            "truncated": ~finished & stepped.truncated,
-            "decided": env.decides(states),
-        }
-        if env.can_fail:
-            outcome["failed"] = ~finished & env.failed(stepped)
-        return following, outcome
+        return following, kept_of_step(env, states, actions, finished, stepped)
 
     env_states, outcomes = jax.lax.scan(step, env_states, jax.random.split(key, num_steps))
     last = {"observation": env.observe(env_states), "record": env.achieved(env_states)}
@@ -121,6 +83,22 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     for name, final in last.items():
         rows[name] = jax.tree.map(lambda leaf, end: jnp.concatenate([leaf, end[:, None]], axis=1), rows[name], final)
     return env_states, Trajectories(**rows)
+
+
+def kept_of_step(env, states, actions: jax.Array, finished: jax.Array, stepped) -> dict[str, Any]:
+    """What `Trajectories` have of one step of E environments: from `states` to `stepped`, and whether each was
+    `finished` before it, bool [E]."""
+    kept = {
+        "observation": env.observe(states),
+        "record": env.achieved(states),
+        "action": actions,
+        "goal": states.goal,
+        "valid": ~finished & ~stepped.diverged,
+        "terminated": ~finished & stepped.terminated,
+        "truncated": ~finished & stepped.truncated,
+        "decided": env.decides(states),
+    }
+    return kept | ({"failed": ~finished & env.failed(stepped)} if env.can_fail else {})
 
 
 def restarted(env, finished: jax.Array, states, keys: jax.Array):
@@ -144,21 +122,11 @@ def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
 
     def row(states):
         actions = policy(env.observe(states), states.goal, jax.random.key(0))
-        flag = states.terminated
-        steps = {
-            "action": actions,
-            "goal": states.goal,
-            "valid": flag,
-            "terminated": flag,
-            "truncated": flag,
-            "decided": flag,
-        }
-        if env.can_fail:
-            steps["failed"] = flag
+        steps = kept_of_step(env, states, actions, states.terminated, states)
         ends = {"observation": env.observe(states), "record": env.achieved(states)}
         steps = jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps)
         ends = jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends)
-        return Trajectories(**steps, **ends)
+        return Trajectories(**steps | ends)
 
     def repeated(leaf, times):
         return jnp.broadcast_to(leaf[:, None], (leaf.shape[0], times, *leaf.shape[1:]))

@@ -7,33 +7,16 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
-from infogoal_jax.goals import is_goal, same, select, with_placeholders
-from infogoal_jax.keys import draw_chance
+from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.costs import costs_of, learns_from_costs
 from infogoal_jax.train.dissimilar import sample_apart, sample_pairs_by_distance
-from infogoal_jax.train.experience import Experience, usable_goals
-from infogoal_jax.train.many_goals import draw_goals
+from infogoal_jax.train.experience import Experience, external_reward, usable_goals
+from infogoal_jax.train.exploring import steps_explored
+from infogoal_jax.train.many_goals import draw_goals, draw_goals_to_learn, goals_to_learn
 from infogoal_jax.train.parts import Setup, spec_of
-
-CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
-
-
-@flax.struct.dataclass
-class RelabelledBatch:
-    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their
-    rewards, as changes.
-
-    goal: [B, *shape]; next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
-    """
-
-    goal: jax.Array
-    next_observation: jax.Array
-    mask: jax.Array
-    terminated: jax.Array
-    external: jax.Array
+from infogoal_jax.train.relabelled import RelabelledBatch, relabel_for_learner, with_relabelled_goals
 
 
 @flax.struct.dataclass
@@ -84,7 +67,8 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     if relabelling is not None:
         row, step, goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
-    drawn = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
+    transitions = replay.transitions_at(buffer, row, step, num_steps, goal, ends)
+    drawn = Sample(transitions, external_reward(env, transitions), usable_goals(setup, transitions.records), pairs=None)
     if learns_from_costs(relabelling):
         costs_key = jax.random.fold_in(key, 6)
         drawn = drawn.replace(**costs_of(setup, experience, costs_key, drawn.transitions, row, step))
@@ -102,41 +86,12 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         led_to = jnp.minimum(step[:, None] + 1 + ahead, buffer.valid.shape[1])
         drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
     if spec.relabelling is not None:
-        other = spec.relabelling.relabel(
-            jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal
-        )
-        relabelled = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, other, ends))
-        kept = {
-            name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")
-        }
-        drawn = drawn.replace(relabelled=RelabelledBatch(**kept, external=relabelled.external))
+        key_of_goals, desired_goal = jax.random.fold_in(key, 4), drawn.transitions.goal
+        relabelled = relabel_for_learner(setup, experience, key_of_goals, row, step, desired_goal, ends)
+        drawn = drawn.replace(relabelled=relabelled)
     if parts.explorer is not None:
-        ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
-        taken = jnp.minimum(step[:, None] + ahead, buffer.valid.shape[1] - 1)
-        place = row[:, None], taken
-        bonus = experience.bonus[buffer.observation[place], buffer.action[place]]
-        drawn = drawn.replace(
-            bonus=bonus,
-            move=(buffer.observation[row, step], buffer.action[row, step], buffer.observation[row, step + 1]),
-        )
+        drawn = drawn.replace(**steps_explored(experience.bonus, buffer, row, step, num_steps))
     return drawn
-
-
-def goals_to_learn(setup: Setup, experience: Experience) -> jax.Array:
-    """Goals of a finite set that something may be learned of: known ones, and those that are desired from the start;
-    bool [N]."""
-    return experience.known.mask | setup.env.goals.desired_mask
-
-
-def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, num: int) -> jax.Array:
-    """Goals [num, *shape] that something may be learned of: known ones and training goals. In a continuous space half
-    of them are of each kind."""
-    if setup.env.goals.finite:
-        return goal_pairs.choose_from_mask(key, goals_to_learn(setup, experience), (num,))
-    known_key, desired_key, choose_key = jax.random.split(key, 3)
-    desired_goal = jax.vmap(setup.env.goals.draw)(jax.random.split(desired_key, num))
-    take_known = draw_chance(choose_key, 0.5, (num,)) & experience.known.any()
-    return select(take_known, experience.known.draw(known_key, (num,)), desired_goal)
 
 
 def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
@@ -181,32 +136,3 @@ def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPa
     if spec.dissimilar_by == "classifier":
         other = with_placeholders(experience.known.draw(jax.random.fold_in(key, 5), (spec.num_pairs,)))
     return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight, other)
-
-
-def with_relabelled_goals(
-    setup: Setup, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
-    they are given."""
-    relabelling, (relabel_key, choose_key) = setup.parts.relabelling, jax.random.split(key)
-    desired_goal = experience.buffer.goal[row, step]
-    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired_goal)
-    if relabelling.skip_reached:
-        before = jax.tree.map(lambda leaf: leaf[row, step], experience.buffer.record)
-        goal = select(setup.env.reached(before, goal), desired_goal, goal)
-    if relabelling.choose is None:
-        return row, step, goal
-    kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)
-    return row[kept], step[kept], goal[kept]
-
-
-def with_rewards(setup: Setup, transitions: Transitions) -> Sample:
-    """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
-    external = setup.env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
-    return Sample(transitions, external, usable_goals(setup, transitions.records), pairs=None)
-
-
-def draws_at_once(relabelling: Relabelling | None, count: int) -> int:
-    """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates,
-    whose tables take memory."""
-    return count if relabelling is None or relabelling.choose is None else min(count, CHOICES_AT_ONCE)

@@ -3,23 +3,23 @@
 from collections.abc import Callable
 from typing import Any
 
-import flax.struct
 import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
 from infogoal_jax.agents.agent import AgentBatch
-from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.learners.learner import Encode, LearnerBatch, Steps, Visited, conditioned
-from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.costs import learns_from_costs, with_actor_goals
 from infogoal_jax.train.experience import Experience
+from infogoal_jax.train.exploring import loss_of_explorer
 from infogoal_jax.train.many_goals import under_all_goals
+from infogoal_jax.train.metrics import Scalars, named, positive_regions
 from infogoal_jax.train.parts import Networks, Setup, TrainState, code_seen, encode_states, goal_encoding, spec_of
-from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
+from infogoal_jax.train.relabelled import RelabelledBatch, draws_at_once
+from infogoal_jax.train.sampling import Sample, sample
 
 
 def returns(
@@ -127,49 +127,6 @@ def features_of_goals(setup: Setup, params: dict) -> Callable[[jax.Array], jax.A
     return lambda goals: jax.lax.stop_gradient(parts.state_encoder.apply(params["state"], env.goals.inputs_of(goals)))
 
 
-def moves_of(setup: Setup, networks: Networks, move: tuple) -> Moves:
-    """Single steps (observation, action, next observation) [B] as an explorer sees them."""
-    observation, action, following = move
-    see, see_by_target = (
-        encode_states(setup, given, 2 * setup.config.batch_size) for given in (networks.params, networks.target_params)
-    )
-    return Moves(see(observation), action, jax.lax.stop_gradient(see_by_target(following)))
-
-
-def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
-    """Shares of the positive pairs whose two goals lie in one region (two different goals), and in different
-    regions."""
-    total = jnp.maximum(pairs.positive_weight.sum(), 1.0)
-    same = regions[pairs.anchor] == regions[pairs.positive]
-    found = {"positives_within": same & (pairs.anchor != pairs.positive), "positives_between": ~same}
-    return {
-        name: (of_kind.astype(jnp.float32) * pairs.positive_weight).sum() / total for name, of_kind in found.items()
-    }
-
-
-@flax.struct.dataclass
-class Scalars:
-    """Numbers by name, as one vector: a loop would store each on its own."""
-
-    values: jax.Array
-    """float32 [n], or of several updates [U, n]."""
-    names: tuple[str, ...] = flax.struct.field(pytree_node=False)
-
-    @classmethod
-    def of(cls, numbers: dict[str, jax.Array]) -> "Scalars":
-        """The vector of these numbers []."""
-        return cls(jnp.stack([jnp.asarray(number, jnp.float32) for number in numbers.values()]), tuple(numbers))
-
-    def means(self) -> dict[str, jax.Array]:
-        """The mean of each over the first axis."""
-        return dict(zip(self.names, self.values.mean(0), strict=True))
-
-
-def named(part: str, metrics: dict) -> dict:
-    """The metrics under the name of the part that they are about."""
-    return {f"{part}/{name}": value for name, value in metrics.items()}
-
-
 def update(
     setup: Setup, experience: Experience, state: TrainState, drawn: Sample, key: jax.Array
 ) -> tuple[TrainState, dict]:
@@ -221,10 +178,7 @@ def update(
             parts.name, learner_metrics
         )
         if parts.explorer is not None:
-            moves = moves_of(setup, networks, drawn.move)
-            explorer_loss, explorer_metrics, after = parts.explorer.loss(
-                params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4)
-            )
+            explorer_loss, explorer_metrics, after = loss_of_explorer(setup, networks, state.explorer, drawn.move, key)
             total, states = total + hyper.explorer_weight * explorer_loss, states | {"explorer": after}
             metrics |= named("explorer", explorer_metrics)
         return total, (metrics, states)

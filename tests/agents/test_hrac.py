@@ -17,9 +17,10 @@ from infogoal_jax.envs.target_states import Cells
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
+from infogoal_jax.train.experience import external_reward, usable_goals
 from infogoal_jax.train.parts import Networks, Setup
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.sampling import with_rewards
+from infogoal_jax.train.sampling import Sample
 from infogoal_jax.train.update import agent_batch, returns
 
 K = hand_made_points.LONG_INTERVAL
@@ -132,11 +133,12 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     batch = jax.jit(lambda rows: replay.transitions_at(rows, row, first, parts.agent.num_steps))(rows)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)
     setup = train.setup(hyper)
+    drawn = Sample(batch, external_reward(env, batch), usable_goals(setup, batch.records), pairs=None)
     before = InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0))
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(setup, {"goal": None}, before, experience, with_rewards(setup, batch))
+        reward, after, metrics = returns(setup, {"goal": None}, before, experience, drawn)
         networks = Networks(params, params, view_key=None)
         return reward, after, metrics, agent_batch(setup, networks, batch, reward, jax.random.key(0))
 

@@ -121,6 +121,25 @@ def known_flags() -> set[str]:
     return OTHERS_FLAGS.union(of_benchmarks, *flags_of_commands().values())
 
 
+def lines_to_read(path: Path, names: list[str]) -> int:
+    """Lines of these classes and functions of a file; of the whole file where none is named."""
+    text = path.read_text()
+    defined = {node.name: node for node in ast.parse(text).body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    nodes = [defined[name] for name in names]
+    first = [min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)]) for node in nodes]
+    found = sum(node.end_lineno - start + 1 for node, start in zip(nodes, first, strict=True))
+    return found if names else len(text.splitlines())
+
+
+def test_one_method_is_read_in_as_many_lines_as_the_page_says():
+    """Names in backticks are what is to be read of a file."""
+    text = (ROOT / "docs" / "reference" / "architecture.md").read_text()
+    rows = re.findall(r"^\| \d+ \| `([^`]+)` \| (.*) \|$", text, re.M)
+    lines = sum(lines_to_read(ROOT / path, re.findall(r"`(\w+)`", words)) for path, words in rows)
+    assert len(rows) == 11 and "of eleven files" in text
+    assert lines <= 1600 and f"{round(lines, -1):,} lines" in text
+
+
 @pytest.mark.parametrize("page", [*PAGES, CHANGELOG], ids=lambda page: page.name)
 def test_every_relative_link_leads_somewhere(page):
     links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())

@@ -13,7 +13,8 @@ from infogoal_jax.learners import infobot
 from infogoal_jax.learners.goal_encoder import kl_to_standard_normal
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.learner import GoalCode, Visited
-from infogoal_jax.train.experience import collect_epoch, experience_of, first_seen
+from infogoal_jax.relabelling.her import first_seen
+from infogoal_jax.train.experience import collect_epoch, experience_of
 from infogoal_jax.train.sampling import sample
 
 FEATURES, GOALS = 4, 8

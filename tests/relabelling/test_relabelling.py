@@ -23,6 +23,7 @@ from infogoal_jax.relabelling.mixed import MixedConfig
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import experience, parts, sampling, update
+from infogoal_jax.train.relabelled import with_relabelled_goals
 
 DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
@@ -241,7 +242,7 @@ def test_goals_reached_before_a_transition_can_be_left_out():
     for skip, expected in ((False, [0.0, 1.0, 0.0]), (True, [5.0, 1.0, 5.0])):
         relabelling = Relabelling(None, lambda *_: drawn, skip_reached=skip)
         setup = parts.Setup(SimpleNamespace(relabelling=relabelling), None, env)
-        given = sampling.with_relabelled_goals(setup, experience, jax.random.key(0), row, step)
+        given = with_relabelled_goals(setup, experience, jax.random.key(0), row, step)
         np.testing.assert_array_equal(given[2][:, 0], expected)
 
 

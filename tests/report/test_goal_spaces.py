@@ -21,7 +21,7 @@ from infogoal_jax.report.figures import draw_figures, read_subject
 from infogoal_jax.report.goal_space_figures import corners_of, success_over_goals
 from infogoal_jax.report.summary import evaluate_run, goal_table, typed_goal
 from infogoal_jax.runner import training
-from infogoal_jax.train.rollout import with_checked_inputs
+from infogoal_jax.train.contracts import with_checked_inputs
 
 SMALL = {
     "num_epochs": 1,
