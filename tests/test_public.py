@@ -52,7 +52,7 @@ from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.video import write_video
-from infogoal_jax.runner import parts, training
+from infogoal_jax.runner import jobs, training
 from infogoal_jax.runner.listeners import print_success
 from infogoal_jax.runner.training import run
 
@@ -418,7 +418,7 @@ CALLS = {
         },
     ),
     "sweep": Call(
-        until_work(sweep, parts, "check_new"),
+        until_work(sweep, jobs, "check_new"),
         {
             "config": CONFIG,
             "seeds": [0],

@@ -197,14 +197,14 @@ def check_where(where: Where, resume: str) -> None:
 
 def is_sweep(folder: str) -> bool:
     """Whether a folder to go on with is that of a sweep."""
-    from infogoal_jax.runner.parts import NAME
+    from infogoal_jax.runner.jobs import NAME
 
     return bool(folder) and (Path(folder) / NAME).exists()
 
 
 def read_settings(words: tuple[str, ...]) -> list[dict[str, float]]:
     """The settings that these words ask for, such as learning_rate=1e-4,3e-4. Raises `UserError` for other words."""
-    from infogoal_jax.runner.parts import settings_of
+    from infogoal_jax.runner.jobs import settings_of
 
     values: dict[str, list[float]] = {}
     for word in words:
@@ -234,7 +234,7 @@ def train_parts(
 
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
     from infogoal_jax.runner.executors import run_in_processes, run_on_ray
-    from infogoal_jax.runner.parts import NAME, Plan, jobs_of, read_plan, run_parts, start
+    from infogoal_jax.runner.jobs import NAME, Plan, jobs_of, read_plan, run_plan, start
     from infogoal_jax.runs.checkpoint import check_same_config
 
     if resume:
@@ -245,13 +245,13 @@ def train_parts(
         plan = Plan(settings, list(seeds), vmap_size)
     if where.engine == "ray":
         execute = functools.partial(run_on_ray, workers=where.processes, address=where.ray_address)
-        run_parts(config, plan, folder, resume, execute)
+        run_plan(config, plan, folder, resume, execute)
     elif where.processes > 1:
         if not resume:
             start(config, plan, folder)
         run_in_processes(["train", "--resume", str(folder), "--quiet"], where.processes, where.gpus)
     else:
-        run_parts(config, plan, folder, resume)
+        run_plan(config, plan, folder, resume)
     if where.quiet:
         return 0
     if not all(job.is_done(folder) for job in jobs_of(config, plan)):
@@ -302,7 +302,7 @@ def tasks(arguments: list[str], command: Command = train) -> TaskCommands:
     remedy = "is a packed run, which has no checkpoint to go on from; give the folder that it was packed of"
     require(not packed or Path(choice.resume).is_dir(), "resume", choice.resume, remedy)
     if is_sweep(choice.resume):
-        from infogoal_jax.runner.parts import read_plan
+        from infogoal_jax.runner.jobs import read_plan
 
         config, plan = read_plan(Path(choice.resume))
         check_same_parts(config, task, choice)

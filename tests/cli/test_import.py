@@ -17,7 +17,7 @@ from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
-from infogoal_jax.runner.parts import Plan, read_plan, start
+from infogoal_jax.runner.jobs import Plan, read_plan, start
 from infogoal_jax.runner.training import how_to_go_on
 from infogoal_jax.runs import tables
 

@@ -74,7 +74,7 @@ def kill_in_the_middle(folder) -> None:
 
 @pytest.mark.long
 def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path):
-    """runner/test_parts.py has that of a machine, runner/test_executors.py jobs whose workers die again and again."""
+    """runner/test_jobs.py has that of a machine, runner/test_executors.py jobs whose workers die again and again."""
     folder, alone = tmp_path / "cluster", tmp_path / "alone"
     killer = threading.Thread(target=kill_in_the_middle, args=(tmp_path,), daemon=True)
     killer.start()

@@ -42,7 +42,7 @@ from infogoal_jax.data import (
 )
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import export
-from infogoal_jax.runner import parts
+from infogoal_jax.runner import jobs
 from infogoal_jax.runs import checkpoint, configuration, folder, low_level, tables
 from infogoal_paper import files, numbers
 
@@ -307,8 +307,8 @@ def packed_run(path: Path) -> bytes:
 
 def plan_of_sweep(path: Path) -> bytes:
     """What is to be run by a sweep."""
-    parts.start(presets.load("point_maze"), parts.Plan([{"discount": 0.9}, {"discount": 0.5}], [0, 1, 2], 2), path)
-    return (path / parts.NAME).read_bytes()
+    jobs.start(presets.load("point_maze"), jobs.Plan([{"discount": 0.9}, {"discount": 0.5}], [0, 1, 2], 2), path)
+    return (path / jobs.NAME).read_bytes()
 
 
 @st.composite
@@ -362,7 +362,7 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
             npz("walks.npz", walk_members(achieved_goals=np.zeros((7, 2), np.float32)), read_walks),
             npz("transitions.npz", walk_members(next_observations=np.zeros((7, 4), np.float32)), read_walks),
             npz("compact.npz", walk_members(valids=np.eye(7)[[2, 6]].sum(0) == 0), read_walks),
-            of("sweep.json", plan_of_sweep(place / "sweep"), lambda path: parts.read_plan(path.parent)),
+            of("sweep.json", plan_of_sweep(place / "sweep"), lambda path: jobs.read_plan(path.parent)),
             Format("run.zip", zipped := packed_run(place / "run"), damaged_zip(zipped), folder.find_run),
         ]
         return {format.name: format for format in found}

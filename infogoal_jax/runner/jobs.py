@@ -185,7 +185,7 @@ def check(config: TrainConfig, plan: Plan) -> None:
     require(len(set(plan.names)) == len(plan.names), "sweep", plan.settings, "give each setting once")
 
 
-def run_parts(
+def run_plan(
     config: TrainConfig,
     plan: Plan,
     folder: Path,

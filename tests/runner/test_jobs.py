@@ -25,9 +25,9 @@ from infogoal_jax import presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.runs import table_of
-from infogoal_jax.runner import executors, parts, progress, training
+from infogoal_jax.runner import executors, jobs, progress, training
 from infogoal_jax.runner.executors import Place, run_on_ray
-from infogoal_jax.runner.parts import PARTS, Plan, jobs_of, read_plan, run_parts, settings_of
+from infogoal_jax.runner.jobs import PARTS, Plan, jobs_of, read_plan, run_plan, settings_of
 from infogoal_jax.runs import checkpoint, configuration, tables
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
@@ -57,14 +57,14 @@ def small_program(monkeypatch):
 @pytest.mark.parametrize("words", ["--lr 0.5", "--batch-size 8", "--env.radius 0.3", "--num-epochs 4"])
 def test_a_sweep_does_not_go_on_with_other_settings(words, tmp_path, monkeypatch, capsys):
     """They were taken, and not used."""
-    parts.start(presets.load("point_maze", num_epochs=2, epochs_per_evaluation=1), Plan([{}], [0], 0), tmp_path / "s")
+    jobs.start(presets.load("point_maze", num_epochs=2, epochs_per_evaluation=1), Plan([{}], [0], 0), tmp_path / "s")
     assert main(["train", "--resume", str(tmp_path / "s"), *words.split()]) == 2
     assert "sweep.json: is of another configuration: " in capsys.readouterr().err
 
 
 def test_parts_make_the_run_that_others_read(tmp_path):
     plan = Plan([{}], [0, 1, 2, 3, 4], 2)
-    outcome = run_parts(CONFIG, plan, tmp_path / "run", say=lambda words: None)
+    outcome = run_plan(CONFIG, plan, tmp_path / "run", say=lambda words: None)
     assert outcome.finished == [f"{PARTS}/0-1", f"{PARTS}/2-3", f"{PARTS}/4-4"]
     left = {path.name for path in (tmp_path / "run").iterdir()}
     assert left == {*FILES, "timing.json"}
@@ -78,7 +78,7 @@ def test_parts_make_the_run_that_others_read(tmp_path):
 
 
 def test_a_part_is_the_run_of_its_seeds(tmp_path):
-    run_parts(CONFIG, Plan([{}], [0, 1, 2, 3], 2), tmp_path / "run", say=lambda words: None)
+    run_plan(CONFIG, Plan([{}], [0, 1, 2, 3], 2), tmp_path / "run", say=lambda words: None)
     training.run(CONFIG, [2, 3], tmp_path / "alone")
     rows, alone = (tables.read_table(tmp_path / name, "epochs") for name in ("run", "alone"))
     assert [row for row in rows if row["seed"] in (2, 3)] == alone
@@ -86,7 +86,7 @@ def test_a_part_is_the_run_of_its_seeds(tmp_path):
 
 def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4], "discount": [0.9]}), [0, 1], 1)
-    run_parts(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
+    run_plan(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
     assert plan.names == ["learning_rate=0.0001,discount=0.9", "learning_rate=0.0003,discount=0.9"]
 
     def stopping(words: str) -> None:
@@ -94,10 +94,10 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_parts(CONFIG, plan, tmp_path / "sweep", say=stopping)
+        run_plan(CONFIG, plan, tmp_path / "sweep", say=stopping)
     assert (tmp_path / "sweep" / plan.names[0] / PARTS / "0-0" / "policy").exists()
     assert read_plan(tmp_path / "sweep") == (CONFIG, plan)
-    run_parts(CONFIG, plan, tmp_path / "sweep", resume=True, say=lambda words: None)
+    run_plan(CONFIG, plan, tmp_path / "sweep", resume=True, say=lambda words: None)
     for name in plan.names:
         assert same_run(tmp_path / "sweep" / name, tmp_path / "whole" / name)
     assert not list((tmp_path / "sweep").rglob("*.lock")) and not list((tmp_path / "sweep").rglob(PARTS))
@@ -105,16 +105,16 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
 
 def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
     plan = Plan([{}], [0, 1], 1)
-    run_parts(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
+    run_plan(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
 
     def killed(*arguments):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(parts.shutil, "rmtree", killed)
-        run_parts(CONFIG, plan, tmp_path / "run", say=lambda words: None)
+        patch.setattr(jobs.shutil, "rmtree", killed)
+        run_plan(CONFIG, plan, tmp_path / "run", say=lambda words: None)
     assert (tmp_path / "run" / PARTS / "1-1" / "policy").exists()
-    run_parts(CONFIG, plan, tmp_path / "run", resume=True, say=lambda words: None)
+    run_plan(CONFIG, plan, tmp_path / "run", resume=True, say=lambda words: None)
     assert same_run(tmp_path / "run", tmp_path / "whole")
     assert {path.name for path in (tmp_path / "run").iterdir()} == {*FILES, "timing.json"}
 
@@ -136,7 +136,7 @@ def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
 def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
     """Bar, count, time left and success, as of a single run, over all that is to be trained."""
     terminal, drawn = Console(file=io.StringIO(), force_terminal=True, width=width), []
-    monkeypatch.setattr(parts, "Console", lambda: terminal)
+    monkeypatch.setattr(jobs, "Console", lambda: terminal)
     advance = progress.ProgressLine.advance
 
     def look(line, *numbers):
@@ -145,7 +145,7 @@ def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
 
     monkeypatch.setattr(progress.ProgressLine, "advance", look)
     plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4]}), [0, 1], 0)
-    run_parts(CONFIG, plan, tmp_path / "sweep")
+    run_plan(CONFIG, plan, tmp_path / "sweep")
     assert [line.split()[1] for line in drawn] == ["2/8", "4/8", "6/8", "8/8"] and "left" not in drawn[3]
     for line in drawn:
         assert "━" * 2 in line and "train 0." in line and "test 0." in line and len(line) <= width
@@ -166,7 +166,7 @@ def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
         return types.SimpleNamespace(update=lambda line: shown.append(repr(line)))
 
     monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
-    monkeypatch.setattr(parts, "Console", lambda: Console(force_jupyter=True))
+    monkeypatch.setattr(jobs, "Console", lambda: Console(force_jupyter=True))
     monkeypatch.setattr(progress, "REFRESHED", 0.01)
     infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4])
     assert any("0/8  compiling" in line for line in shown) and any(
@@ -178,15 +178,15 @@ def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
 @pytest.mark.long  # A run that goes on counts its own epochs in test_host.py.
 def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
     plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4, 1e-3]}), [0], 0)
-    parts.start(CONFIG, plan, tmp_path / "sweep")
+    jobs.start(CONFIG, plan, tmp_path / "sweep")
     first = jobs_of(CONFIG, plan)[0]
     training.run(first.config, first.seeds, first.folder(tmp_path / "sweep"))
     begun = []
-    monkeypatch.setattr(parts, "Console", lambda: Console(file=io.StringIO(), force_terminal=True))
+    monkeypatch.setattr(jobs, "Console", lambda: Console(file=io.StringIO(), force_terminal=True))
     monkeypatch.setattr(
         progress.ProgressLine, "phase", lambda line, name, epoch=0: begun.append((name, line.before + epoch))
     )
-    run_parts(CONFIG, plan, tmp_path / "sweep", resume=True)
+    run_plan(CONFIG, plan, tmp_path / "sweep", resume=True)
     assert [epoch for name, epoch in begun if name == "compiling"] == [4, 8]
 
 
@@ -217,7 +217,7 @@ def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
     training.run(CONFIG, [0], tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
     with pytest.raises(UserError, match="holds a run already"):
-        run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
+        run_plan(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
     assert before == {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
 
 
@@ -232,13 +232,13 @@ def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
 )
 def test_a_folder_goes_on_with_its_own_plan_alone(config, plan, said, tmp_path):
     """Another one was trained beside it, and their runs were joined."""
-    parts.start(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
+    jobs.start(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
     with pytest.raises(UserError) as refused:
-        run_parts(config, plan, tmp_path / "run", resume=True)
+        run_plan(config, plan, tmp_path / "run", resume=True)
     assert said in str(refused.value) and "sweep.json" in str(refused.value)
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["sweep.json"]
     with pytest.raises(UserError, match=r"holds no sweep.json"):
-        run_parts(CONFIG, plan, tmp_path / "nowhere", resume=True)
+        run_plan(CONFIG, plan, tmp_path / "nowhere", resume=True)
     assert not (tmp_path / "nowhere").exists()
 
 
@@ -248,26 +248,26 @@ def test_what_is_of_no_part_is_not_deleted(tmp_path):
         (tmp_path / "run" / PARTS / "notes.txt").write_text("mine")
 
     with pytest.raises(UserError, match=r"parts = \['notes.txt'\]: is of no part"):
-        run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", say=with_notes)
+        run_plan(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", say=with_notes)
     (tmp_path / "run" / PARTS / "notes.txt").unlink()
-    run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", resume=True, say=lambda words: None)
+    run_plan(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", resume=True, say=lambda words: None)
     assert configuration.read(tmp_path / "run").seeds == [0, 1]
 
 
 def test_parts_are_written_through_no_link(tmp_path):
     plan = Plan([{}], [0, 1], 1)
     (tmp_path / "elsewhere").mkdir()
-    parts.start(CONFIG, plan, tmp_path / "run")
+    jobs.start(CONFIG, plan, tmp_path / "run")
     (tmp_path / "run" / PARTS).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UserError, match="is a link, through which nothing is written"):
-        run_parts(CONFIG, plan, tmp_path / "run", resume=True)
+        run_plan(CONFIG, plan, tmp_path / "run", resume=True)
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
 @pytest.fixture
 def two_machines(tmp_path):
     """A cluster and its machines, whose workers log the parts that they begin."""
-    with cluster_of_two("test_parts.prepare_worker", {LOG: str(tmp_path / "begun"), "JAX_PLATFORMS": "cpu"}) as found:
+    with cluster_of_two("test_jobs.prepare_worker", {LOG: str(tmp_path / "begun"), "JAX_PLATFORMS": "cpu"}) as found:
         yield found
 
 
@@ -277,7 +277,7 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
     the bits are those of one process."""
     there, machines = two_machines
     plan = Plan(settings_of({"learning_rate": [1e-4, 2e-4, 3e-4, 4e-4]}), list(range(12)), 3)
-    run_parts(CONFIG, plan, tmp_path / "alone", say=lambda words: None)
+    run_plan(CONFIG, plan, tmp_path / "alone", say=lambda words: None)
     begun, folder = tmp_path / "begun", tmp_path / "cluster"
 
     def kill() -> None:
@@ -287,7 +287,7 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    outcome = run_parts(CONFIG, plan, folder, execute=run_on_ray, say=lambda words: None)
+    outcome = run_plan(CONFIG, plan, folder, execute=run_on_ray, say=lambda words: None)
     killer.join(60)
     assert not killer.is_alive() and len(outcome.finished) == len(jobs_of(CONFIG, plan)) == 16
     assert len(set(outcome.finished)) == 16 and not outcome.stopped
@@ -296,7 +296,7 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
         assert configuration.read(folder / name).seeds == list(range(12))
     times = collections.Counter(line.split()[0] for line in begun.read_text().splitlines())
     assert sum(times.values()) <= 16 + 2  # What the machine had, once more.
-    again = run_parts(CONFIG, plan, folder, resume=True, execute=run_on_ray, say=lambda words: None)
+    again = run_plan(CONFIG, plan, folder, resume=True, execute=run_on_ray, say=lambda words: None)
     assert not again.finished and not again.stopped
 
 
