@@ -24,6 +24,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import dtypes
 
 from infogoal_jax import checks
 from infogoal_jax.envs.goal_task import Episode, GoalTask
@@ -71,6 +72,8 @@ class AdaptedTask(GoalTask):
     """Size of an action, each number from -1 to 1."""
     source: str = flax.struct.field(pytree_node=False, default="simulated")
     """What is simulated, in words."""
+    types: tuple[Any, ...] = flax.struct.field(pytree_node=False, default=())
+    """Of each leaf of the environment's state, after any number of steps."""
 
     can_fail = True
     costly_reset = True
@@ -84,7 +87,8 @@ class AdaptedTask(GoalTask):
 
     def begin(self, key: jax.Array) -> Any:
         """A state of the environment, with numbers of fixed types."""
-        return with_types(self.env.reset(raw(key)))
+        leaves, layout = jax.tree.flatten(with_types(self.env.reset(raw(key))))
+        return layout.unflatten(jnp.asarray(leaf, dtype) for leaf, dtype in zip(leaves, self.types, strict=True))
 
     def move(self, world: Any, action: jax.Array) -> Any:
         """The state after an action. The environment is given dictionaries of its own, since it may write into
@@ -186,6 +190,7 @@ def from_brax(
         own_goals=low is None and held_out is None,
         starts=starts,
         action_size=action_size,
+        types=types_of(state),
         source=source or f"{type(getattr(env, 'unwrapped', env)).__name__}, simulated",
     )
     sampler = None
@@ -417,18 +422,33 @@ def with_types(state: Any) -> Any:
 
 
 def checked_state(env: Any, action_size: int) -> Any:
-    """The shapes of a state of the environment. Raises `UserError` for an environment that cannot be stepped over and
-    over, and for one with training wrappers around it."""
+    """The shapes of a state of the environment, and the types that hold it after any number of steps: what begins as
+    whole numbers may go on as fractions. Raises `UserError` for an environment that cannot be stepped over and over, and
+    for one with training wrappers around it."""
     state = checks.traced("env.reset", lambda key: with_types(env.reset(key)), checks.Spec((2,), "uint32").struct)
     for name in ("obs", "done"):
         require(hasattr(state, name), "env.reset", type(state).__name__, f"returns a state without {name}")
     wrappers = [name for name in WRAPPED if name in (getattr(state, "info", None) or {})]
     remedy = "has training wrappers, which reset to one cached start; give the environment itself"
     require(not wrappers, "env", type(env).__name__, remedy)
-    action = checks.Spec((action_size,), "float32").struct
-    again = checks.traced("env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action)
-    checks.same_shapes(without_types(again), without_types(state), "the state of env.step", "that of env.reset")
+    action, narrower = checks.Spec((action_size,), "float32").struct, None
+    while narrower != types_of(state):
+        narrower = types_of(state)
+        again = checks.traced("env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action)
+        checks.same_shapes(without_types(again), without_types(state), "the state of env.step", "that of env.reset")
+        state = jax.tree.map(of_wider_type, state, again)
     return state
+
+
+def types_of(state: Any) -> tuple[Any, ...]:
+    """The type of each leaf."""
+    return tuple(leaf.dtype for leaf in jax.tree.leaves(state))
+
+
+def of_wider_type(old: jax.ShapeDtypeStruct, new: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
+    """The shape of a leaf with a type that holds the numbers of both."""
+    wider = old.dtype if old.dtype == new.dtype else dtypes.canonicalize_dtype(jnp.promote_types(old.dtype, new.dtype))
+    return jax.ShapeDtypeStruct(old.shape, wider)
 
 
 def copied(state: Any) -> Any:
@@ -437,7 +457,7 @@ def copied(state: Any) -> Any:
 
 
 def without_types(state: Any) -> Any:
-    """The shapes of a state alone: types are those of the first."""
+    """The shapes of a state alone."""
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, jnp.float32), state)
 
 

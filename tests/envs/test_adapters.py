@@ -211,6 +211,27 @@ def test_what_is_not_finite_is_taken_back():
     assert not task.step(before, jnp.ones(1)).diverged
 
 
+class Whole(Line):
+    """It begins at a whole number, as one of Python or of int32, and a number that follows it by half a step."""
+
+    def reset(self, rng):
+        state = super().reset(rng)
+        return state.replace(pipeline_state=jnp.zeros(1, jnp.int32), info=state.info | {"pushes": 0, "mean": 0})
+
+    def step(self, state, action):
+        pushed = super().step(state, action)
+        return pushed.replace(info=pushed.info | {"mean": (state.info["mean"] + state.pipeline_state.sum()) / 2})
+
+
+def test_what_begins_as_a_whole_number_goes_on_as_a_fraction():
+    task = envs.from_brax(Whole(), **ARGUMENTS | {"achieved": lambda state: state.pipeline_state})
+    state = jax.jit(task.reset)(KEYS[0])
+    for _ in range(2):
+        state = jax.jit(task.step)(state, jnp.full(1, 0.25))
+    assert state.world.pipeline_state == 0.5 and state.world.info["mean"] == 0.125
+    assert state.world.info["pushes"] == 2 and state.world.info["pushes"].dtype == jnp.int32
+
+
 class Changing(Line):
     """Its state has another shape after a step."""
 
