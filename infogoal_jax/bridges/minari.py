@@ -35,12 +35,14 @@ def episodes_of(dataset: Any) -> Episodes:
 
     dataset: of `minari.load_dataset`. Observations are vectors, images uint8 with channels last or first, or
     dictionaries: of a `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys.
+    Actions between the bounds of the dataset's space are scaled to lie from -1 to 1, as those of `envs.from_gymnasium`.
     Raises `UserError` for what cannot be read so.
     """
     known = callable(getattr(dataset, "iterate_episodes", None))
     require(known, "dataset", type(dataset).__name__, "give a MinariDataset, as minari.load_dataset makes it")
     recorded = [(one.observations, as_numbers(one.actions, "actions")) for one in dataset.iterate_episodes()]
     require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
+    low, high = bounds_of(dataset)
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
     for observations, actions in recorded:
         is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
@@ -58,11 +60,20 @@ def episodes_of(dataset: Any) -> Episodes:
             f"give a vector for each of the {len(seen) - 1} steps of an episode",
         )
         columns["observations"].append(seen)
-        columns["actions"].append(np.pad(actions.astype(np.float32), ((0, 1), (0, 0))))
+        scaled = (actions - (low + high) / 2) / ((high - low) / 2)
+        columns["actions"].append(np.pad(scaled.astype(np.float32), ((0, 1), (0, 0))))
         columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
     different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
     require(True not in different, "observations", "episodes of different shapes", "give one shape")
     return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds of the dataset's actions, float64 [A] or numbers; -1 and 1 where it tells no finite ones."""
+    space = getattr(dataset, "action_space", None)
+    low, high = (np.asarray(getattr(space, name, bound), np.float64) for name, bound in (("low", -1), ("high", 1)))
+    bounded = np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()
+    return (low, high) if bounded else (np.float64(-1), np.float64(1))
 
 
 def as_observations(observations: Any) -> np.ndarray:

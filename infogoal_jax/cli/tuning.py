@@ -94,7 +94,7 @@ def check_final(arguments: list[str]) -> None:
 def final(
     search: Positional[str] = "",
     resume: str = "",
-    trials: int = 4,
+    trials: int | None = None,
     seeds: int = 8,
     first_seed: int | None = None,
     out: str = "",
@@ -105,7 +105,7 @@ def final(
         search: Folder of an `infogoal tune` that came to its end. Its task, method and configuration are those of the
             final.
         resume: Folder of a final to go on with, in place of a search.
-        trials: How many, the preset among them.
+        trials: How many, the preset among them; none: 4, or all of a search that has fewer.
         seeds: Seeds of each.
         first_seed: Number of the first seed; none: the one after the search's last.
         out: Folder of the final; empty: a new one under runs/.
@@ -130,7 +130,7 @@ def final(
         )
     return watch_search(
         about.config,
-        trials,
+        len(finalists),
         seeds,
         search_folder(out, about.config, "final"),
         "final",

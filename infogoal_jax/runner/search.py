@@ -55,6 +55,8 @@ NUMBER = "trials x seeds"
 """What is to be smaller where the members of a search do not fit."""
 FIRST_SEED = 1000
 """Seeds of tuning start here: reported runs have seeds 0, 1, 2, ..."""
+FINALISTS = 4
+"""Settings of a final where nobody says how many."""
 BUDGET = ("num_epochs", "epochs_per_evaluation", "num_envs", "rollout_steps", "updates_per_epoch")
 
 
@@ -129,15 +131,18 @@ def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials:
     return [{field: float(values[field]) for field in fields}, *drawn]
 
 
-def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
-    """The preset and the best others of a search, `count` in all, to be run again; of equal settings one. Raises
-    `UserError` if there are fewer."""
-    require(count > 1, "trials", count, "a final has at least 2: the preset, and others")
+def finalists(trials: Sequence[Trial], count: int | None = None) -> list[Trial]:
+    """The preset and the best others of a search, `count` in all, to be run again; of equal settings one. None: 4, or
+    all where there are fewer. Raises `UserError` if there are fewer than `count`, or only the preset."""
     chosen = [trials[0]]
     for trial in sorted(trials, key=lambda trial: trial.order, reverse=True):
-        if len(chosen) < count and all(trial.values != other.values for other in chosen):
+        if all(trial.values != other.values for other in chosen):
             chosen.append(trial)
-    require(len(chosen) == count, "trials", count, f"the search has {len(chosen)} different settings; give no more")
+    known = len(chosen)
+    count = min(known, FINALISTS) if count is None else count
+    require(count > 1, "trials", count, "a final has at least 2: the preset, and others")
+    require(count <= known, "trials", count, f"the search has {known} different settings; give no more")
+    chosen = chosen[:count]
     return [Trial(trial.trial, trial.values) for trial in chosen]
 
 

@@ -4,7 +4,9 @@ absence is tested, and what is refused before it is asked for."""
 import gc
 import importlib.util
 import sys
+from types import SimpleNamespace
 
+import gymnasium
 import hand_made
 import jax
 import numpy as np
@@ -92,3 +94,15 @@ def test_a_folder_that_cannot_be_minari_s_is_one_line_and_nothing_is_touched(tmp
     with pytest.raises(UserError, match=said):
         to_minari(made_up(np.float32, True), tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == ["here-v0"]
+
+
+def test_actions_are_scaled_by_the_bounds_of_their_space():
+    space = gymnasium.spaces.Box(np.array([0.0, -0.2]), np.array([3.0, 0.2]), dtype=np.float64)
+    episode = SimpleNamespace(observations=np.zeros((4, 1)), actions=np.array([[0.0, 0.2], [3.0, -0.1], [1.5, 0.0]]))
+    recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [episode])
+    expected = [[-1.0, 1.0], [1.0, -0.5], [0.0, 0.0], [0.0, 0.0]]
+    np.testing.assert_allclose(episodes_of(recorded).actions, expected, atol=1e-7)
+    space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
+    recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [SimpleNamespace(**vars(episode))])
+    with pytest.raises(UserError, match="rows go beyond -1 to 1"):
+        episodes_of(recorded)

@@ -36,7 +36,8 @@ def test_finalists_are_the_preset_and_the_best_others_of_different_values():
     finalists = search.finalists(trials, 3)
     assert [trial.trial for trial in finalists] == [0, 2, 3]  # 4 has the values of 2.
     assert all(trial.success == [] and trial.values == found.trials[trial.trial].values for trial in finalists)
-    assert [trial.trial for trial in search.finalists(trials, 4)] == [0, 2, 3, 1]  # What diverged comes last.
+    assert [trial.trial for trial in search.finalists(trials)] == [0, 2, 3, 1]  # What diverged comes last.
+    assert [trial.trial for trial in search.finalists(trials[:2])] == [0, 1]  # All of a short search.
     for count, message in (
         (1, "trials = 1: a final has at least 2"),
         (5, "trials = 5: the search has 4 different settings"),
