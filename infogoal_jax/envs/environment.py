@@ -141,6 +141,10 @@ class Environment:
         leaf, of_one = jax.tree.leaves(observation)[0], jax.tree.leaves(one_observation(self))[0]
         return jnp.ones((*leaf.shape[: leaf.ndim - of_one.ndim], self.action_size), bool)
 
+    def own_action(self, action: jax.Array) -> jax.Array:
+        """A vector of [-1, 1] as what is simulated takes it, which an exported policy gives."""
+        return action
+
     def failed(self, state: Any) -> jax.Array:
         """Whether the episode has failed, bool; where `can_fail`. Nothing is worth anything after it. Its state is
         `truncated`, since the goal was not reached."""

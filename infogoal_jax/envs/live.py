@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 
 import flax.struct
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
@@ -61,6 +62,11 @@ class LiveTask(AdaptedTask):
         """One step. What the environment truncates is truncated."""
         state = super().step(state, action)
         return state.replace(truncated=state.truncated | (state.world.cut & ~state.terminated))
+
+    def own_action(self, action: jax.Array) -> jax.Array:
+        """The action between the bounds that the environment has."""
+        low, high = self.env.bounds
+        return jnp.clip((low + high) / 2 + (high - low) / 2 * action, low, high)
 
 
 def from_gymnasium(
@@ -361,6 +367,13 @@ def buffers_of(data: Any) -> list[np.ndarray]:
     return [whole[:start], whole[start + drawn.nbytes :]]
 
 
+def within(actions: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds of a space of actions, float32 [A], rounded inwards."""
+    low, high = (np.asarray(bound, np.float32) for bound in (actions.low, actions.high))
+    rounded = np.where(low < actions.low, np.nextafter(low, np.inf), low)
+    return rounded, np.where(high > actions.high, np.nextafter(high, -np.inf), high)
+
+
 def carried(value: Any) -> np.ndarray | None:
     """The array of what is a number or a short array of numbers."""
     if not isinstance(value, bool | int | float | np.generic | np.ndarray):
@@ -374,6 +387,7 @@ class Batch:
 
     def __init__(self, first: Simulator, make: Callable, read: Any, write: Any, count: int):
         self.action_size = first.env.action_space.shape[0]
+        self.bounds = within(first.env.action_space)
         self.free: queue.SimpleQueue = queue.SimpleQueue()
         self.threads = ThreadPoolExecutor(count)
         self.count = count

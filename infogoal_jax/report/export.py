@@ -168,7 +168,7 @@ def driving(train: Train, params: Any):
         masks, key = env.action_mask(whole)[None], jax.random.key(0)
         (asked,) = parts.agent.act(params["agent"], features, code, masks, key, Exploration(0.0, 0.0))
         if not steered:
-            return asked, asked
+            return env.own_action(asked), asked
         asked = env.space.from_subgoal(whole, asked, env.subgoal_scale)
         target = jnp.where(decides, asked, target)
         return env.low_level.act(whole, target), target

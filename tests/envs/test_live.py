@@ -170,6 +170,14 @@ def test_actions_reach_from_bound_to_bound():
     for action in ([-1, -1], [0, 0], [1, 1]):
         one.step(np.array(action, np.float32))
     assert np.array_equal(given, [[0, -4], [0.5, 0], [1, 4]]) and task.action_size == 2
+    assert np.array_equal(task.own_action(np.array([[-1, -1], [0, 0], [2, 1]])), given)
+
+
+def test_bounds_are_rounded_inwards():
+    space = spaces.Box(np.array([-0.7, 0.0]), np.array([0.1, 0.7]), dtype=np.float64)
+    low, high = live.within(space)
+    assert space.contains(low) and space.contains(high)
+    np.testing.assert_allclose([low, high], [space.low, space.high], atol=1e-7)
 
 
 class Other(Mass):

@@ -152,8 +152,10 @@ def test_a_policy_of_a_tree_of_one_array_says_what_is_no_observation(maze):
             policy(observation, goal, None)
 
 
-def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path):
-    """Places and goals go in as the task has them, and the actions are those of JAX."""
+def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path, monkeypatch):
+    """Places and goals go in as the task has them, and the actions are those of JAX, as what is simulated takes
+    them."""
+    monkeypatch.setattr(type(maze), "own_action", lambda self, action: 3 * action)
     train = make_train(CONFIG, maze)
     params = hand_made_points.random_params(train)
     policy = export.export_params(train, params, tmp_path / "policy.npz", {})
@@ -162,7 +164,7 @@ def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path):
     places, goals = random.uniform(-1, 1, (8, 2)).astype(np.float32), random.uniform(0, 3, (8, 2)).astype(np.float32)
     expected = act(jnp.asarray(places), jnp.asarray(goals), jax.random.key(0))
     found = [policy.drive(place, goal.tolist(), 0)[0] for place, goal in zip(places, goals, strict=True)]
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_allclose(found, 3 * expected, atol=1e-5)
     again = policy_file.ExportedPolicy(tmp_path / "policy.npz")
     assert again.about["goal_low"] == [0, 0] and again.about["goal_high"] == [3, 3] and again.goals is None
     for goal in ([0.5], [0.5, 3.5], [0.5, np.nan], np.zeros((1, 2))):
