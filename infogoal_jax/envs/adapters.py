@@ -27,6 +27,7 @@ import numpy as np
 from jax import dtypes
 
 from infogoal_jax import checks
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.errors import UserError, nearest, require, require_known, shown
 from infogoal_jax.field_types import LARGEST_WHOLE
@@ -107,10 +108,10 @@ class AdaptedTask(GoalTask):
         """The goal that is achieved where this was seen, the whole flattened observation."""
         return super().achieved_in(observation) if self.read_recorded is None else self.read_recorded(observation)
 
-    def recorded_observation(self, observations: np.ndarray) -> np.ndarray:
+    def recorded_observation(self, episodes: Episodes) -> np.ndarray:
         """What the agent sees of whole observations [N, F] of a recording, or of those that show just that."""
-        whole = observations.shape[-1] > len(self.shown)
-        return observations[..., np.array(self.shown, np.int32)] if whole else observations
+        whole = episodes.observations.shape[-1] > len(self.shown)
+        return episodes.observations[..., np.array(self.shown, np.int32)] if whole else episodes.observations
 
     def fails(self, world: Any) -> jax.Array:
         return world.done > 0
@@ -423,8 +424,8 @@ def with_types(state: Any) -> Any:
 
 def checked_state(env: Any, action_size: int) -> Any:
     """The shapes of a state of the environment, and the types that hold it after any number of steps: what begins as
-    whole numbers may go on as fractions. Raises `UserError` for an environment that cannot be stepped over and over, and
-    for one with training wrappers around it."""
+    whole numbers may go on as fractions. Raises `UserError` for an environment that cannot be stepped over and over,
+    and for one with training wrappers around it."""
     state = checks.traced("env.reset", lambda key: with_types(env.reset(key)), checks.Spec((2,), "uint32").struct)
     for name in ("obs", "done"):
         require(hasattr(state, name), "env.reset", type(state).__name__, f"returns a state without {name}")
@@ -434,7 +435,9 @@ def checked_state(env: Any, action_size: int) -> Any:
     action, narrower = checks.Spec((action_size,), "float32").struct, None
     while narrower != types_of(state):
         narrower = types_of(state)
-        again = checks.traced("env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action)
+        again = checks.traced(
+            "env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action
+        )
         checks.same_shapes(without_types(again), without_types(state), "the state of env.step", "that of env.reset")
         state = jax.tree.map(of_wider_type, state, again)
     return state

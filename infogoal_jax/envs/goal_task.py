@@ -8,7 +8,9 @@ from typing import Any
 import flax.struct
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import Positive, Size
@@ -102,9 +104,9 @@ class GoalTask(Environment):
             f"achieved_goals: is missing, and {type(self).__name__} cannot tell it from observations; {remedy}"
         )
 
-    def recorded_observation(self, observations: Any) -> Any:
-        """What the agent sees of observations [N, ...] of a recording: the same."""
-        return observations
+    def recorded_observation(self, episodes: Episodes) -> np.ndarray:
+        """What the agent sees of the observations of a recording, [N, ...]: the same."""
+        return episodes.observations
 
     def fails(self, world: Any) -> jax.Array:
         """Whether the episode has failed in this world, bool; where `can_fail`."""

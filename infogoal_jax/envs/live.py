@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs import adapters
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.goal_task import Episode
@@ -62,6 +63,12 @@ class LiveTask(AdaptedTask):
         """One step. What the environment truncates is truncated."""
         state = super().step(state, action)
         return state.replace(truncated=state.truncated | (state.world.cut & ~state.terminated))
+
+    def recorded_observation(self, episodes: Episodes) -> np.ndarray:
+        """What the agent sees of a recording: `achieved_goal` and `observation`, which a recording may have apart."""
+        seen, achieved = episodes.observations, episodes.achieved_goals
+        apart = achieved is not None and seen.ndim == 2 and seen.shape[1] + achieved.shape[1] == len(self.shown)
+        return np.concatenate([achieved, seen], 1) if apart else super().recorded_observation(episodes)
 
     def own_action(self, action: jax.Array) -> jax.Array:
         """The action between the bounds that the environment has."""

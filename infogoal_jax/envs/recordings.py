@@ -35,7 +35,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     require(isinstance(task, GoalTask), "task", type(task).__name__, "give a GoalTask")
     checks.seed(seed)
     seen, size = one_observation(task), task.goals.shape[0]
-    observations = task.recorded_observation(episodes.observations)
+    observations = task.recorded_observation(episodes)
     require(
         observations.shape[1:] == seen.shape and observations.dtype == seen.dtype,
         "observations",

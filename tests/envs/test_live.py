@@ -17,8 +17,10 @@ from hand_made_robots import GoalEnv, Mass
 from infogoal_jax import UserError, envs
 from infogoal_jax.cli import main as cli
 from infogoal_jax.cli.main import main
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs import live
 from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.recordings import with_recordings
 
 KEYS = jax.random.split(jax.random.key(0), 3)
 LIMIT = 12
@@ -337,3 +339,17 @@ def test_fetch_of_gymnasium_robotics_is_learned(tmp_path):
     assert main([*words, "--out", str(tmp_path / "run")]) == 0
     last = (tmp_path / "run" / "evaluations.jsonl").read_text().splitlines()[-1]
     assert json.loads(last)["train_goal/success_rate"] >= 0.9
+
+
+def test_recordings_of_a_goal_environment_show_what_the_agent_sees():
+    """Their observations stand apart from what was achieved, as `infogoal data import-minari` writes them."""
+    task, numbers = task_of(Hidden), np.random.default_rng(0)
+    seen, achieved, desired = (numbers.uniform(-1, 1, (6, size)).astype(np.float32) for size in (4, 2, 2))
+    episodes = Episodes(seen, np.zeros((6, 2)), np.arange(6) == 5, achieved, desired)
+    found = with_recordings(task, episodes).recorded
+    np.testing.assert_array_equal(found.observation[0], np.concatenate([achieved, seen], 1))
+    np.testing.assert_array_equal(found.record[0], achieved)
+    whole = Episodes(np.concatenate([achieved, desired, seen], 1), np.zeros((6, 2)), np.arange(6) == 5)
+    again = with_recordings(task, whole).recorded
+    np.testing.assert_array_equal(again.observation[0], found.observation[0])
+    np.testing.assert_array_equal(again.record[0], achieved)
