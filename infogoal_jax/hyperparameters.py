@@ -40,15 +40,15 @@ class Search(NamedTuple):
     always: bool = True
     is_term: bool = False
 
-    def at(self, share: float) -> float:
-        """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be
-        given as a flag."""
+    def at(self, fraction: float) -> float:
+        """The value that lies this fraction, in [0, 1], of the way from low to high; four digits of it, so that it can
+        be given as a flag."""
         if self.scale == "linear":
-            value = self.low + share * (self.high - self.low)
+            value = self.low + fraction * (self.high - self.low)
         elif self.scale == "log":
-            value = self.low * (self.high / self.low) ** share
+            value = self.low * (self.high / self.low) ** fraction
         else:
-            value = 1 - (1 - self.low) * ((1 - self.high) / (1 - self.low)) ** share
+            value = 1 - (1 - self.low) * ((1 - self.high) / (1 - self.low)) ** fraction
         return float(f"{value:.4g}")
 
     def is_at_floor(self, value: float) -> bool:

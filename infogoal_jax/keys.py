@@ -1,7 +1,7 @@
-"""Random keys that compile quickly: jax's own random numbers, from Threefry with its rounds written out.
+"""Random keys that compile quickly: jax's own random numbers, from Threefry with its rounds unrolled.
 
 On a CPU jax runs the rounds of Threefry in a loop. XLA compiles every operation of that loop by itself, again for each
-draw of a program, so that random numbers take more time to compile than the networks that they are for. Written out,
+draw of a program, so that random numbers take more time to compile than the networks that they are for. Unrolled,
 the rounds are one fused loop over the numbers, which compiles and runs three times as fast. Other devices get the same
 operations as from jax.
 """
@@ -17,18 +17,18 @@ PARITY = np.uint32(0x1BD11BDA)
 TYPES = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}
 
 
-def written_out(key: jax.Array) -> jax.Array:
-    """The same keys with Threefry's rounds written out: whatever is drawn from them is what is drawn from `key`, bit
+def unrolled(key: jax.Array) -> jax.Array:
+    """The same keys with Threefry's rounds unrolled: whatever is drawn from them is what is drawn from `key`, bit
     for bit. Keys of other generators are returned as they are."""
     if jax.random.key_impl(key) != "threefry2x32":
         return key
-    return jax.random.wrap_key_data(jax.random.key_data(key), impl=WRITTEN_OUT)
+    return jax.random.wrap_key_data(jax.random.key_data(key), impl=UNROLLED)
 
 
 def fold(key: jax.Array, *numbers: int | jax.Array) -> jax.Array:
     """The key for these numbers, such as a purpose and an epoch, folded in one after another. Everything that a program
     draws comes from such a key, so that its draws compile quickly."""
-    key = written_out(key)
+    key = unrolled(key)
     for number in numbers:
         key = jax.random.fold_in(key, number)
     return key
@@ -36,13 +36,13 @@ def fold(key: jax.Array, *numbers: int | jax.Array) -> jax.Array:
 
 def from_seed(seed: int | jax.Array) -> jax.Array:
     """The key of a seed."""
-    return written_out(jax.random.key(seed))
+    return unrolled(jax.random.key(seed))
 
 
 def restored(data: jax.Array, like: jax.Array) -> jax.Array:
     """The keys whose numbers are these, of the generator that `like`, or its shape, has."""
     keys = jax.random.wrap_key_data(data)
-    return keys if keys.dtype == like.dtype else written_out(keys)
+    return keys if keys.dtype == like.dtype else unrolled(keys)
 
 
 def draw_chance(key: jax.Array, probability, shape: tuple[int, ...] = ()) -> jax.Array:
@@ -85,11 +85,11 @@ def random_bits(key: jax.Array, width: int, shape: tuple[int, ...]) -> jax.Array
     return jax.lax.platform_dependent(bits, cpu=jax.lax.optimization_barrier, default=lambda bits: bits)
 
 
-WRITTEN_OUT = define_prng_impl(
+UNROLLED = define_prng_impl(
     key_shape=threefry_prng_impl.key_shape,
     seed=threefry_prng_impl.seed,
     split=threefry_prng_impl.split,
     fold_in=threefry_prng_impl.fold_in,
     random_bits=random_bits,
-    name="written_out_threefry",
+    name="unrolled_threefry",
 )

@@ -23,7 +23,7 @@ from infogoal_jax import networks, pairs, presets, replay
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
-from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
+from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, from_data
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Visited
 from infogoal_jax.relabelling.relabelling import Achievements, Context
@@ -79,7 +79,7 @@ def environment(episode_length: int = 20, memory: bool = False, position: np.nda
     """The hand-made task; a goal's input is a random but fixed unit vector of 16 numbers."""
     inputs = np.random.default_rng(1).normal(size=(2 * ROOMS, 16)).astype(np.float32)
     seen = scenes() if position is None else dataclasses.replace(scenes(), position=position)
-    return lay_out(seen, SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length, memory)
+    return from_data(seen, SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length, memory)
 
 
 def environment_from_above(**changes) -> ObjectSearch:

@@ -167,7 +167,7 @@ def backgrounds() -> SimpleNamespace:
 def manipulation(**changes) -> object_manipulation.ObjectManipulation:
     """Object manipulation over the arm."""
     config = ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes))
-    return object_manipulation.lay_out(arm(), None if config.privileged else backgrounds(), config)
+    return object_manipulation.from_data(arm(), None if config.privileged else backgrounds(), config)
 
 
 def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
@@ -222,7 +222,7 @@ def embeddings() -> TextEmbeddings:
 
 def qa(**changes) -> embodied_qa.EmbodiedQA:
     """Embodied question answering over the shelf."""
-    return embodied_qa.lay_out(shelf(), asked(), embeddings(), EmbodiedQAConfig(**({"episode_length": 15} | changes)))
+    return embodied_qa.from_data(shelf(), asked(), embeddings(), EmbodiedQAConfig(**({"episode_length": 15} | changes)))
 
 
 def qa_config(method: str = "infogoal", **changes) -> TrainConfig:

@@ -17,7 +17,7 @@ from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import StateEncoderConfig, TrainConfig
 from infogoal_jax.data.goal_images import grid_positions
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch
-from infogoal_jax.envs.fetch.image_goals import ImageGoals, lay_out
+from infogoal_jax.envs.fetch.image_goals import ImageGoals, from_data
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.envs.target_states import SubgoalEnv
 from infogoal_jax.train.program import Train
@@ -128,7 +128,7 @@ def points(train_backgrounds: np.ndarray | None = None, test_backgrounds: np.nda
         chosen if chosen is not None else drawn
         for chosen, drawn in zip((train_backgrounds, test_backgrounds), noise, strict=True)
     )
-    return lay_out(Point(), bank, SimpleNamespace(train=train, test=test, source="noise"), uses)
+    return from_data(Point(), bank, SimpleNamespace(train=train, test=test, source="noise"), uses)
 
 
 def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> SubgoalEnv:

@@ -9,7 +9,7 @@ import hand_made
 import numpy as np
 
 from infogoal_jax.data.splits import make_split
-from infogoal_jax.envs.object_search import lay_out
+from infogoal_jax.envs.object_search import from_data
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan, write_scores
 from infogoal_paper import claims
@@ -140,7 +140,7 @@ def environment():
             for name, use in zip(hand_made.SPLIT.objects, USES, strict=True)
         }
     )
-    return lay_out(hand_made.scenes(), split, np.eye(8, 16, dtype=np.float32), 20)
+    return from_data(hand_made.scenes(), split, np.eye(8, 16, dtype=np.float32), 20)
 
 
 def small(method: str = "none", **changes):

@@ -1,5 +1,5 @@
 """What training draws: the replay buffer samples uniformly and never looks across an episode; goal pairs and the
-dissimilarity matrix keep Algorithm 1's promises; keys with Threefry's rounds written out give jax's own numbers."""
+dissimilarity matrix keep Algorithm 1's promises; keys with Threefry's rounds unrolled give jax's own numbers."""
 
 import functools
 
@@ -10,7 +10,7 @@ import pytest
 import scipy.stats
 
 from infogoal_jax import pairs, replay
-from infogoal_jax.keys import written_out
+from infogoal_jax.keys import unrolled
 from infogoal_jax.replay import Trajectories
 
 
@@ -228,12 +228,12 @@ DRAWS = {
 @pytest.mark.parametrize("draw", DRAWS.values(), ids=DRAWS)
 def test_whatever_is_drawn_is_what_jax_draws(draw):
     keys = jax.random.split(jax.random.key(3), 4)
-    one, other = jax.jit(lambda keys: (jax.vmap(draw)(written_out(keys)), jax.vmap(draw)(keys)))(keys)
+    one, other = jax.jit(lambda keys: (jax.vmap(draw)(unrolled(keys)), jax.vmap(draw)(keys)))(keys)
     np.testing.assert_array_equal(one, other)
 
 
 def test_keys_of_other_generators_are_left_alone():
     key = jax.random.key(0, impl="rbg")
-    assert written_out(key) is key
-    once = written_out(jax.random.key(0))
-    assert written_out(once) is once
+    assert unrolled(key) is key
+    once = unrolled(jax.random.key(0))
+    assert unrolled(once) is once

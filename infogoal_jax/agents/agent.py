@@ -37,7 +37,7 @@ class AgentTraits(NamedTuple):
 class AllGoals:
     """The transitions of a batch under G goals at once."""
 
-    share: jax.Array
+    weight: jax.Array
     """float32 [G], of each goal in the loss, 1 together: as much for every known goal, 0 for those that nothing is
     learned of."""
     code: jax.Array

@@ -165,13 +165,15 @@ def lower_value(actor: Actor, critic: Critic, params: dict, features: jax.Array,
     return of_inputs(critic, features).apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
 
 
-def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
-    """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is
-    uniform in [-1, 1] instead."""
+def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_probability: jax.Array) -> jax.Array:
+    """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_probability` an
+    action is uniform in [-1, 1] instead."""
     noise_key, choose_key, random_key = jax.random.split(key, 3)
     noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape, jnp.float32), -1.0, 1.0)
     random = jax.random.uniform(random_key, action.shape, minval=-1.0, dtype=jnp.float32)
-    return jnp.where(jax.random.uniform(choose_key, (*action.shape[:-1], 1), jnp.float32) < random_share, random, noisy)
+    return jnp.where(
+        jax.random.uniform(choose_key, (*action.shape[:-1], 1), jnp.float32) < random_probability, random, noisy
+    )
 
 
 def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array) -> jax.Array:
@@ -300,7 +302,7 @@ def loss_of_all(
     )
     target = jax.lax.stop_gradient(goals.reward + goals.discount * following.min(0))
     values = critic.apply(params["critic"], batch.features, batch.action, goals.code, method="of_all")
-    loss, metrics = jax.vmap(lambda twin: value_heads.td_loss_of_all(twin, target, goals.share, huber))(values)
+    loss, metrics = jax.vmap(lambda twin: value_heads.td_loss_of_all(twin, target, goals.weight, huber))(values)
     return loss.sum(), jax.tree.map(jnp.mean, metrics)
 
 

@@ -185,22 +185,22 @@ def target_of_all(
     return jax.lax.stop_gradient(reward + discount * best)
 
 
-def mean_over_goals(values: jax.Array, share: jax.Array) -> jax.Array:
-    """The mean of values [..., G] over all axes; goals count by their share [G]."""
-    return (values * with_rank(share, values.ndim)).sum(-1).mean()
+def mean_over_goals(values: jax.Array, weight: jax.Array) -> jax.Array:
+    """The mean of values [..., G] over all axes; goals count by their weight [G]."""
+    return (values * with_rank(weight, values.ndim)).sum(-1).mean()
 
 
 def td_loss_of_all(
-    predicted: jax.Array, target: jax.Array, share: jax.Array, huber: bool
+    predicted: jax.Array, target: jax.Array, weight: jax.Array, huber: bool
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Temporal-difference error of values [B, G] against their targets [B, G], over goals with a share alone:
+    """Temporal-difference error of values [B, G] against their targets [B, G], over goals with a weight alone:
     (loss, metrics). Without `huber` it is LEO's half of the mean square."""
     error = networks.squared_or_huber(predicted, target, huber)
     metrics = {
-        "td_error": mean_over_goals(jnp.abs(predicted - target), share),
-        "value": mean_over_goals(predicted, share),
+        "td_error": mean_over_goals(jnp.abs(predicted - target), weight),
+        "value": mean_over_goals(predicted, weight),
     }
-    return mean_over_goals(error, share), metrics
+    return mean_over_goals(error, weight), metrics
 
 
 def value_loss(
@@ -216,10 +216,10 @@ def value_loss(
     target = target_of_all(goals.reward, goals.discount, following, batch.next_action_mask)
     if regulariser is None:
         predicted = head.taken_of_all(params, batch.features, batch.action, goals.code)
-        return td_loss_of_all(predicted, target, goals.share, huber)
+        return td_loss_of_all(predicted, target, goals.weight, huber)
     values = head.values_of_all(params, batch.features, goals.code)
     predicted = of_actions(values, batch.action)
-    error, metrics = td_loss_of_all(predicted, target, goals.share, huber)
+    error, metrics = td_loss_of_all(predicted, target, goals.weight, huber)
     extra, own_metrics = jax.vmap(lambda under_one: regulariser(under_one, batch, hyper), in_axes=-1)(values)
-    own_metrics = {name: mean_over_goals(value, goals.share) for name, value in own_metrics.items()}
-    return error + mean_over_goals(extra, goals.share), metrics | own_metrics
+    own_metrics = {name: mean_over_goals(value, goals.weight) for name, value in own_metrics.items()}
+    return error + mean_over_goals(extra, goals.weight), metrics | own_metrics

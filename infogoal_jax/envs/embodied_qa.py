@@ -106,10 +106,10 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
         data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering, config.gathered))
     asked = splits.load_questions(config.questions or splits.SHIPPED_QUESTIONS)
     embeddings = text.load(config.text_embeddings or splits.SHIPPED_EMBEDDINGS)
-    return lay_out(data, asked, embeddings, config)
+    return from_data(data, asked, embeddings, config)
 
 
-def lay_out(
+def from_data(
     data: frames.FrameDataset, asked: splits.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig
 ) -> EmbodiedQA:
     """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object

@@ -111,10 +111,10 @@ def make(config: JointTargetsConfig) -> JointTargets:
         "tells no joint angles: import it with columns joint_NAME",
     )
     next_node, _ = frame_edges(data)
-    return lay_out(data.joints, next_node, data.describe(data.joints, next_node), config.episode_length)
+    return from_data(data.joints, next_node, data.describe(data.joints, next_node), config.episode_length)
 
 
-def lay_out(joints: np.ndarray, next_node: np.ndarray, source: str, episode_length: int) -> JointTargets:
+def from_data(joints: np.ndarray, next_node: np.ndarray, source: str, episode_length: int) -> JointTargets:
     """Make the task of joints [K, J] and the images int32 [K, A] that moves lead to."""
     steps = np.abs(wrapped(joints[next_node] - joints[:, None]))
     precision = float(0.5 * steps[steps > 1e-4].min())

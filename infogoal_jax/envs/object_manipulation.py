@@ -253,7 +253,7 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
     data = load_frames(config.dataset, config.generator_seed, config.physical_limits)
     if config.joint_range < WHOLE_TURN:
         data = turned_within(data, config)
-    return lay_out(data, None if config.privileged else backgrounds.load(config.backgrounds), config)
+    return from_data(data, None if config.privileged else backgrounds.load(config.backgrounds), config)
 
 
 def turned_within(data: frames.FrameDataset, config: ObjectManipulationConfig) -> frames.FrameDataset:
@@ -276,7 +276,7 @@ def turned_within(data: frames.FrameDataset, config: ObjectManipulationConfig) -
     return dataclasses.replace(data, about=about, **images, **moves)
 
 
-def lay_out(
+def from_data(
     data: frames.FrameDataset, behind: backgrounds.Backgrounds | None, config: ObjectManipulationConfig
 ) -> ObjectManipulation:
     """Make the task from a dataset. behind: what goal images are corrupted with; None: poses are shown in their place.

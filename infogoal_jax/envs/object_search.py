@@ -172,10 +172,10 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
         from infogoal_jax.stand_ins import house
 
         scenes = house.load(**reading)
-    return lay_out(scenes, split, inputs, config.episode_length, config.memory)
+    return from_data(scenes, split, inputs, config.episode_length, config.memory)
 
 
-def lay_out(
+def from_data(
     scenes: active_vision.SearchScenes,
     split: splits.Split,
     inputs: np.ndarray,

@@ -156,8 +156,8 @@ def make(config: GHRLConfig) -> Relabelling:
     def relabel(key, table, row, step, goal):
         random_key, choose_key = jax.random.split(key)
         anything = her.any_known(random_key, table.known, goal)
-        share = jax.random.uniform(choose_key, goal.shape, jnp.float32)
-        goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
-        return jnp.where(share >= 1.0 - config.random_share, anything, goal)
+        drawn = jax.random.uniform(choose_key, goal.shape, jnp.float32)
+        goal = jnp.where((drawn < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
+        return jnp.where(drawn >= 1.0 - config.random_share, anything, goal)
 
     return Relabelling(prepare, relabel)

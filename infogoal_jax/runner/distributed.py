@@ -145,15 +145,15 @@ def is_writer() -> bool:
     return not jax.distributed.is_initialized() or jax.process_index() == 0
 
 
-def share(seeds: Sequence[int]) -> Sequence[int]:
+def own_seeds(seeds: Sequence[int]) -> Sequence[int]:
     """The seeds of this process. Raises `UserError` where not all processes get as many."""
     count = jax.process_count()
     require(len(seeds) % count == 0, "seeds", len(seeds), f"give a multiple of {count}, the number of processes")
-    return seeds[share_of(len(seeds))]
+    return seeds[own_slice(len(seeds))]
 
 
-def share_of(count: int) -> slice:
-    """Where the share of this process stands among so many seeds."""
+def own_slice(count: int) -> slice:
+    """Where the seeds of this process stand among so many seeds."""
     size = count // jax.process_count()
     return slice(jax.process_index() * size, (jax.process_index() + 1) * size)
 

@@ -23,13 +23,13 @@ from infogoal_jax.keys import is_key
 from infogoal_jax.runner.compilation import inner_programs
 from infogoal_jax.train.program import Train
 
-MEMORY_SHARE = 0.8
+MEMORY_FRACTION = 0.8
 """Of the device's memory that a sweep may fill before it is sliced."""
 EVALUATION_POLICIES = 4
 """Code sampled or mean, goals clean or corrupted."""
 WORKING_COPIES = 2
 """Copies of a seed's state that a running chunk holds beside the one that is carried: updated, and gradients."""
-WRITTEN_OUT = {"dot_general", "conv_general_dilated", "scan", "while", "sort", "scatter", "scatter-add", "cumsum"}
+MATERIALISED = {"dot_general", "conv_general_dilated", "scan", "while", "sort", "scatter", "scatter-add", "cumsum"}
 """Operations whose results lie in memory; compilers fuse most others with what uses them."""
 GIB = 2**30
 
@@ -90,7 +90,7 @@ def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seed
     memory = mesh_memory(mesh)
     state, extra, held = state_bytes(train), working_bytes(train), bytes_of(train.env)
     alone = (1 + WORKING_COPIES) * state + extra + held
-    if alone > MEMORY_SHARE * memory:
+    if alone > MEMORY_FRACTION * memory:
         raise too_large(train.config, preset_of(train.config), alone, memory)
     return seeds_at_once(state, extra, held, count // mesh.size, memory, mesh.size, name)
 
@@ -104,8 +104,8 @@ def seeds_at_once(
     devices: int = 1,
     name: str = "seeds",
 ) -> int:
-    """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that
-    divides their number.
+    """How many of a device's seeds run beside each other in `MEMORY_FRACTION` of its memory: all of them, or a part
+    that divides their number.
 
     state_bytes: carried for each of the `num_seeds` of the device, and once more for those that run in a slice.
     extra_bytes: `working_bytes` of each that runs.
@@ -113,7 +113,7 @@ def seeds_at_once(
     devices and name: how many there are, and of the number of seeds, for the message.
     Raises `UserError` if not even their states fit and one of them.
     """
-    room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
+    room, running = MEMORY_FRACTION * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
     if num_seeds * (state_bytes + running) <= room:
         return num_seeds
     fitting = int((room - num_seeds * state_bytes) // (state_bytes + running))
@@ -155,13 +155,13 @@ def check_traced(programs: Iterable[Jaxpr | ClosedJaxpr], config: Any, usual: Ca
 
 
 def largest_array(program: Jaxpr | ClosedJaxpr) -> int:
-    """Bytes of the largest array that an operation of `WRITTEN_OUT` makes or a scan reads, inside of loops too."""
+    """Bytes of the largest array that an operation of `MATERIALISED` makes or a scan reads, inside of loops too."""
     jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
     largest = 0
     for equation in jaxpr.eqns:
         name = equation.primitive.name
         inside = [largest_array(inner) for value in equation.params.values() for inner in inner_programs(value)]
-        lying = [*(equation.outvars if name in WRITTEN_OUT else ()), *(equation.invars if name == "scan" else ())]
+        lying = [*(equation.outvars if name in MATERIALISED else ()), *(equation.invars if name == "scan" else ())]
         largest = max(largest, *inside, *(array_bytes(each.aval) for each in lying), 0)
     return largest
 

@@ -123,11 +123,11 @@ def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials:
     """The values of each trial: the preset's, then draws from the space. Those of a field depend on nothing but the
     key, the field and the trial."""
     space, values = search_space(preset), values_of(preset)
-    shares = {
+    fractions = {
         field: np.asarray(jax.random.uniform(jax.random.fold_in(key, zlib.crc32(field.encode())), (trials,)), float)
         for field in fields
     }
-    drawn = [{field: space[field].at(shares[field][number]) for field in fields} for number in range(1, trials)]
+    drawn = [{field: space[field].at(fractions[field][number]) for field in fields} for number in range(1, trials)]
     return [{field: float(values[field]) for field in fields}, *drawn]
 
 

@@ -168,7 +168,7 @@ def run(
         phase("loading", done)
         train = make_train(config, env)
         phase("tracing", done)
-        programs = side_by_side(train, distributed.share(seeds))
+        programs = side_by_side(train, distributed.own_seeds(seeds))
         now = describe(config, train.env, list(seeds))
         if not resume:
             programs.check()  # So that a refusal leaves no folder behind.
@@ -199,7 +199,7 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
     now, folder = files.now, files.folder
     sweep = Sweep(now.config, programs, evaluations=point.epoch // now.config.epochs_per_evaluation)
     if point.states is not None:
-        mine = jax.tree.map(lambda leaf: leaf[distributed.share_of(len(now.seeds))], point.states)
+        mine = jax.tree.map(lambda leaf: leaf[distributed.own_slice(len(now.seeds))], point.states)
         sweep.states = Member(mine, None)
     train_sweep(sweep, files, stop)
     if sweep.states is None:
@@ -211,7 +211,7 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
     return RunResult(folder, train, params, diverged, stopped=not sweep.finished)
 
 
-CHECKPOINT_SHARE = 0.1
+CHECKPOINT_FRACTION = 0.1
 """Of the time that passes, what goes into checkpoints at most: those of several seeds' replay buffers are gigabytes."""
 BYTES_A_SECOND = 2e8
 """How fast the first one is expected to be written [M]."""
@@ -285,7 +285,7 @@ class RunFiles(Callback):
         """Whether this process writes, and writing takes a second at most or little of the time since it was last
         done."""
         passed = time.monotonic() - self.saved_at
-        return distributed.is_writer() and self.save_seconds < max(1.0, CHECKPOINT_SHARE * passed)
+        return distributed.is_writer() and self.save_seconds < max(1.0, CHECKPOINT_FRACTION * passed)
 
     def save(self, sweep: Sweep) -> None:
         """Write the checkpoint, then the policy."""

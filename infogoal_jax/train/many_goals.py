@@ -35,12 +35,12 @@ def draw_goals(
     spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired_goal: jax.Array, key: jax.Array
 ) -> tuple[jax.Array | None, jax.Array]:
     """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, a share of those
-    that were desired, else any known one. None: all goals of the task. And the share of each in the loss.
+    that were desired, else any known one. None: all goals of the task. And the weight of each in the loss.
 
     known: bool [N]; achieved: int32 [B, n, K], padded with -1; desired_goal: int32 [B].
     """
     if not 0 < spec.num_goals < known.shape[0]:
-        return None, shares(known)
+        return None, goal_weights(known)
     goal_key, which_key, any_key = jax.random.split(key, 3)
     num_achieved = round(spec.achieved_share * spec.num_goals)
     num_desired = min(round(spec.desired_share * spec.num_goals), spec.num_goals - num_achieved)
@@ -50,11 +50,11 @@ def draw_goals(
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
     found = jnp.where(found >= 0, found, anything[:num_achieved])
     goals = jnp.concatenate([found, desired_goal[place], anything[num_achieved + num_desired :]])
-    return goals, shares(known[goals])
+    return goals, goal_weights(known[goals])
 
 
-def shares(known: jax.Array) -> jax.Array:
-    """The share of each goal in a mean over the known ones, float32 [G]: known bool [G].
+def goal_weights(known: jax.Array) -> jax.Array:
+    """The weight of each goal in a mean over the known ones, float32 [G]: known bool [G].
 
     Drawn with the goals, not in the loss: there XLA sums it again for every tile of the values on a GPU, which took a
     fifth of an update of the cube.
@@ -64,10 +64,10 @@ def shares(known: jax.Array) -> jax.Array:
 
 
 def under_all_goals(
-    setup: Setup, networks: Networks, batch: Transitions, goals: jax.Array | None, share: jax.Array, key: jax.Array
+    setup: Setup, networks: Networks, batch: Transitions, goals: jax.Array | None, weight: jax.Array, key: jax.Array
 ) -> AllGoals:
-    """The transitions under the goals [G], or under all goals of the task, of which unknown ones have no share. key: of
-    the noise of codes."""
+    """The transitions under the goals [G], or under all goals of the task, of which unknown ones have no weight. key:
+    of the noise of codes."""
     parts, hyper, env = setup
     params, target_params, view_key = networks
     goals = jnp.arange(env.goals.num_goals, dtype=jnp.int32) if goals is None else goals
@@ -78,7 +78,7 @@ def under_all_goals(
         code = jax.lax.stop_gradient(code)
     keys = jax.random.split(key)
     return AllGoals(
-        share=share,
+        weight=weight,
         code=code_seen(parts, code, keys[0]),
         target_code=code_seen(parts, target_code, keys[1]),
         reward=reward,

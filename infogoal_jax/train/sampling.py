@@ -45,7 +45,7 @@ class Sample:
     agent sees."""
     all_goals: jax.Array | None = None
     """int32 [G], the goals that the agent learns every transition from; None without, or for all of the task."""
-    goal_share: jax.Array | None = None
+    goal_weight: jax.Array | None = None
     """float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without."""
     actor_goal: jax.Array | None = None
     """[B, *shape], the goals that the actor learns for; None: those of the transitions."""
@@ -79,8 +79,8 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
     if spec_of(parts) is not None:
         known, many_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
-        goals, share = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
-        drawn = drawn.replace(all_goals=goals, goal_share=share)
+        goals, weight = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
+        drawn = drawn.replace(all_goals=goals, goal_weight=weight)
     if spec.first_seen:
         ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
         led_to = jnp.minimum(step[:, None] + 1 + ahead, buffer.valid.shape[1])

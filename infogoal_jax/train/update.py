@@ -152,7 +152,7 @@ def update(
         if spec_of(parts) is not None:
             codes = codes.replace(
                 all_goals=under_all_goals(
-                    setup, networks, batch, drawn.all_goals, drawn.goal_share, jax.random.fold_in(key, 5)
+                    setup, networks, batch, drawn.all_goals, drawn.goal_weight, jax.random.fold_in(key, 5)
                 )
             )
         if drawn.actor_goal is not None:

@@ -15,7 +15,7 @@ from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.data import splits
 from infogoal_jax.envs import object_search
-from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, from_data
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.episodes import rollout
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
@@ -172,13 +172,13 @@ def test_an_object_out_of_reach_is_named():
     scenes = hand_made.scenes()
     scenes.visible[:, 2] = False
     with pytest.raises(UserError, match="train_2"):
-        object_search.lay_out(scenes, hand_made.SPLIT, np.zeros((8, 4), np.float32), 20)
+        object_search.from_data(scenes, hand_made.SPLIT, np.zeros((8, 4), np.float32), 20)
 
 
 def test_a_split_without_training_objects_is_refused():
     split = splits.make_split({name: ("room", "test") for name in hand_made.SPLIT.objects})
     with pytest.raises(UserError, match="training object"):
-        object_search.lay_out(hand_made.scenes(), split, np.zeros((8, 4), np.float32), 20)
+        object_search.from_data(hand_made.scenes(), split, np.zeros((8, 4), np.float32), 20)
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +232,7 @@ def test_flights_of_different_lengths():
     keep = ~((data.trajectory == 3) & (data.time > 4))
     moves = moves_of(data, keep)
     moves["terminal"] = moves["terminal"] | ((moves["trajectory"] == 3) & (moves["time"] == 4))
-    env = lay_out(
+    env = from_data(
         dataclasses.replace(data, **moves),
         hand_made_frames.asked(),
         hand_made_frames.embeddings(),
@@ -302,7 +302,7 @@ def refused(change: dict, message: str, asked=None):
     """The dataset with this change is refused in these words."""
     data = dataclasses.replace(hand_made_frames.shelf(), **change)
     with pytest.raises(UserError, match=message):
-        lay_out(
+        from_data(
             data, asked or hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15)
         )
 

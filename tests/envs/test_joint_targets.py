@@ -19,7 +19,7 @@ STEP = 2 * np.pi / hand_made_frames.STEPS
 def env() -> joint_targets.JointTargets:
     """The target states of the hand-made arm."""
     data = hand_made_frames.arm()
-    return joint_targets.lay_out(data.joints, frame_edges(data)[0], "an arm", 20)
+    return joint_targets.from_data(data.joints, frame_edges(data)[0], "an arm", 20)
 
 
 def nearest_move(observation, goal, key):

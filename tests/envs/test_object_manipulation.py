@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from infogoal_jax import make_train, presets
 from infogoal_jax.angles import geodesic, wrapped
 from infogoal_jax.envs import object_manipulation
-from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, from_data
 from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import traits_seen
@@ -50,7 +50,7 @@ def test_a_smaller_range_leaves_images_whose_joints_lie_within_it_and_the_moves_
     assert len(cut.frames) == 27 and len(cut.frame) == 3 * 2 * 2 * 9  # Of each joint two moves forth, two back.
     turn = np.abs(wrapped(cut.joints[cut.next_frame] - cut.joints[cut.frame]))
     np.testing.assert_allclose(turn.sum(1), np.pi / 3, atol=1e-5)
-    env = lay_out(cut, hand_made_frames.backgrounds(), config)
+    env = from_data(cut, hand_made_frames.backgrounds(), config)
     assert len(env.quaternion) == 27 and "joints within 60 degrees" in env.source
     with pytest.raises(UserError, match="env.joint_range = 10.0: leaves no move: give more than 0 degrees"):
         object_manipulation.turned_within(data, dataclasses.replace(config, joint_range=10.0))
@@ -160,7 +160,7 @@ def test_datasets_that_cannot_be_used(data, change, message):
     if "action" in change:
         change = {"action": np.zeros_like(data.action)}
     with pytest.raises(UserError, match=message):
-        lay_out(
+        from_data(
             dataclasses.replace(data, **change),
             hand_made_frames.backgrounds(),
             ObjectManipulationConfig(num_goals=(3, 1, 4)),
@@ -170,7 +170,7 @@ def test_datasets_that_cannot_be_used(data, change, message):
 def test_too_many_goals(data):
     """More goals than poses that lie apart."""
     with pytest.raises(UserError, match=r"env\.num_goals = .*give fewer"):
-        lay_out(data, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(300, 0, 1)))
+        from_data(data, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(300, 0, 1)))
 
 
 @pytest.mark.long
@@ -183,7 +183,7 @@ def test_views_of_one_state(data):
         rotation=np.concatenate([data.rotation] * 2),
         joints=np.concatenate([data.joints] * 2),
     )
-    env = lay_out(
+    env = from_data(
         twice, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12)
     )
     starts = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))

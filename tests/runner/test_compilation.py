@@ -162,11 +162,13 @@ def test_slices_follow_from_the_memory_of_the_devices():
     """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10;
     the environment takes 30."""
     for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
-        assert memory.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / memory.MEMORY_SHARE)) == at_once
+        assert (
+            memory.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / memory.MEMORY_FRACTION)) == at_once
+        )
     with pytest.raises(UserError, match="seeds = 10"):
-        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_SHARE))
+        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_FRACTION))
     with pytest.raises(UserError, match="seeds = 20.*give at most 18"):
-        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_SHARE), 2)
+        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_FRACTION), 2)
 
 
 def test_the_largest_array_of_a_loop_counts():

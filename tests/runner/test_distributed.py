@@ -197,7 +197,7 @@ def test_flags_that_do_not_go_together_are_refused(flags, tmp_path, capsys):
 
 def test_one_process_shares_with_nobody():
     seeds = range(3)
-    assert distributed.is_writer() and list(distributed.share(seeds)) == [0, 1, 2]
+    assert distributed.is_writer() and list(distributed.own_seeds(seeds)) == [0, 1, 2]
     tree = {"losses": [1.0]}
     assert distributed.gathered(tree) is tree and distributed.any_process(True) and not distributed.any_process(False)
 

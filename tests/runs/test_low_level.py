@@ -84,7 +84,7 @@ def test_a_low_level_that_cannot_be_used_is_refused(tmp_path):
 def test_pretrain_leaves_a_run_whose_policy_hrac_takes(tmp_path, monkeypatch, capsys):
     """Several seeds in one program by the ordinary runner; the best of them in the folder of the run."""
     data = hand_made_frames.arm()
-    small = joint_targets.lay_out(data.joints, frame_edges(data)[0], "an arm", 8)
+    small = joint_targets.from_data(data.joints, frame_edges(data)[0], "an arm", 8)
     entry = envs.registry["object_manipulation_targets"]._replace(make=lambda config: small)
     monkeypatch.setitem(envs.registry, "object_manipulation_targets", entry)
     words = "pretrain object_manipulation --seeds 2 --num-epochs 2 --epochs-per-evaluation 1 --num-envs 8"

@@ -18,7 +18,7 @@ from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import experience_of
-from infogoal_jax.train.many_goals import draw_goals, shares, under_all_goals
+from infogoal_jax.train.many_goals import draw_goals, goal_weights, under_all_goals
 from infogoal_jax.train.parts import Networks
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
@@ -133,18 +133,18 @@ def test_rewards_are_those_of_each_goal_alone(begun, goals):
         start, arrived, jnp.zeros(count, int), None, arrived[:, None], jnp.ones((count, 1)), jnp.zeros(count, bool)
     )
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
-    share, key = shares(known if goals is None else known[goals]), jax.random.key(1)
+    weight, key = goal_weights(known if goals is None else known[goals]), jax.random.key(1)
 
     @jax.jit
     def found_of(batch):
-        return under_all_goals(train.setup(), Networks(params, params, key), batch, goals, share, key)
+        return under_all_goals(train.setup(), Networks(params, params, key), batch, goals, weight, key)
 
     found = found_of(batch)
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)
         np.testing.assert_allclose(found.discount[:, place], hyper.discount * ~reached)
-        np.testing.assert_allclose(found.share[place], (goal != 0) / (7 if goals is None else 2))
+        np.testing.assert_allclose(found.weight[place], (goal != 0) / (7 if goals is None else 2))
 
 
 @pytest.mark.long

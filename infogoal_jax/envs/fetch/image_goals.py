@@ -153,10 +153,10 @@ def make(name: str, config: FetchConfig) -> ImageGoals:
     bank = goal_images.load(config.goal_images or goal_images.shipped(name), name)
     behind = backgrounds.load(config.backgrounds)
     uses = bank.uses.astype(np.int32) - 1
-    return lay_out(robot, bank, behind, uses)
+    return from_data(robot, bank, behind, uses)
 
 
-def lay_out(
+def from_data(
     robot: environment.Fetch, bank: goal_images.GoalImages, behind: backgrounds.Backgrounds, uses: np.ndarray
 ) -> ImageGoals:
     """Make the task with these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the

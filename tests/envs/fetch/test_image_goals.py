@@ -19,7 +19,7 @@ from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch
-from infogoal_jax.envs.fetch.image_goals import lay_out
+from infogoal_jax.envs.fetch.image_goals import from_data
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
@@ -45,7 +45,7 @@ def grid(request):
         blank = SimpleNamespace(
             train=np.zeros((1, 64, 64, 3), np.uint8), test=np.zeros((1, 64, 64, 3), np.uint8), source="blank"
         )
-        env = lay_out(hand_made_points.Point(), bank, blank, bank.uses.astype(int) - 1)
+        env = from_data(hand_made_points.Point(), bank, blank, bank.uses.astype(int) - 1)
         GRIDS[request.param] = env, bank.positions[bank.uses == goal_images.GRID]
     return GRIDS[request.param]
 
