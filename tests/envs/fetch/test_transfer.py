@@ -3,14 +3,12 @@ reference plays too is for who has it installed (benchmarks/fidelity/fetch_trans
 
 import sys
 
-import jax
 import numpy as np
 import pytest
 from places import ROOT
 from scipy.stats import binomtest
 
-from infogoal_jax import envs, make_train, presets
-from infogoal_jax.report import export
+from infogoal_jax.runs.low_level import shipped
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
 import fetch_transfer
@@ -24,12 +22,8 @@ def test_intervals_of_a_share_are_wilsons(successes, episodes):
     assert (found["low"], found["high"]) == pytest.approx((wilson.low, wilson.high), abs=1e-6)
 
 
-def test_a_policy_of_another_task_is_refused(tmp_path, monkeypatch, capsys):
-    train = make_train(presets.load("point_maze", "none"), envs.load("point_maze"))
-    params = train.state_shapes.params
-    zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), params)
-    export.export_params(train, zeros, tmp_path / "policy.npz", {})
-    monkeypatch.setattr(sys, "argv", ["fetch_transfer", str(tmp_path / "policy.npz")])
+def test_a_policy_of_another_task_is_refused(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["fetch_transfer", str(shipped("object_manipulation"))])
     with pytest.raises(SystemExit):
         fetch_transfer.main()
-    assert "is a policy of point_maze; give one of a Fetch task" in capsys.readouterr().err
+    assert "is a policy of object_manipulation; give one of a Fetch task" in capsys.readouterr().err
