@@ -20,7 +20,7 @@ from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.sampling import sample
@@ -47,7 +47,7 @@ def learner_share(train: Train) -> Any:
 
     def share(state, number, hyper, env):
         setup = Setup(parts, hyper, env)
-        experience, state = experience_of(setup, state, number)
+        experience, state = make_experience(setup, state, number)
         plain = state.replace(optimizer_state=parts.optimizer.init(state.params))
 
         def of_batch(key):

@@ -26,7 +26,7 @@ from infogoal_jax import envs, make_train, presets
 from infogoal_jax.envs import plane
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine, mean_interval
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.sampling import sample_pairs
 from infogoal_jax.train.update import updates
 
@@ -217,7 +217,7 @@ def of_negatives(train, config, states) -> dict[str, Any]:
     @jax.jit
     def draw(state, key, env):
         setup = train.setup(config.hyper, env)
-        experience, _ = experience_of(setup, state, last)
+        experience, _ = make_experience(setup, state, last)
         return sample_pairs(setup._replace(parts=parts), experience, key)
 
     def square(goals):
@@ -238,7 +238,7 @@ def of_negatives(train, config, states) -> dict[str, Any]:
     @jax.jit
     def some_updates(state, env):
         setup = train.setup(config.hyper, env)
-        experience, state = experience_of(setup, state, last)
+        experience, state = make_experience(setup, state, last)
         return updates(setup, experience, state, state.key, config.updates_per_epoch)
 
     state = member(states, 0)

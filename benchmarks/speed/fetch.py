@@ -27,7 +27,7 @@ from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates as updates_of
 
@@ -128,7 +128,7 @@ def image_costs(task: str, seeds: int, updates: int) -> dict[str, float]:
         filled = jax.tree.map(lambda leaf: jnp.resize(leaf[: config.num_envs], leaf.shape), buffer)
         state = state.replace(buffer=filled, seen=jnp.ones_like(state.seen))
         last = jnp.int32(filled.valid.shape[0] // config.num_envs - 1)
-        experience = experience_of(train.setup(hyper, env), state, last)[0]
+        experience = make_experience(train.setup(hyper, env), state, last)[0]
         return updates_of(train.setup(hyper, env), experience, state, jax.random.key(2), updates)[0].params
 
     def chosen(key, env):

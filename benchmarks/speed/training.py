@@ -53,7 +53,7 @@ from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shard
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.train.evaluation import random_policy
-from infogoal_jax.train.experience import collect_epoch, experience_of
+from infogoal_jax.train.experience import collect_epoch, make_experience
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
 
@@ -190,7 +190,7 @@ def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
 
     def epoch(state, key, hyper, env):
         setup = train.setup(hyper, env)
-        experience, state = experience_of(setup, state, 0)
+        experience, state = make_experience(setup, state, 0)
         return updates(setup, experience, state, key, config.updates_per_epoch)[0].params
 
     arguments = (states, keys, config.hyper, env)
@@ -293,7 +293,7 @@ def print_evaluating(arguments) -> None:
 
         def learning(state, hyper, env, train=train):
             setup = train.setup(hyper, env)
-            experience, state = experience_of(setup, state, 0)
+            experience, state = make_experience(setup, state, 0)
             return updates(setup, experience, state, state.key, train.config.updates_per_epoch)[0]
 
         def training(key, hyper, env, train=train):

@@ -21,7 +21,7 @@ import jax
 from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import inner_programs
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.sampling import sample
 from infogoal_jax.train.update import update, updates
 
@@ -204,7 +204,7 @@ def loop_of_updates(train, num_seeds: int, updates_per_epoch: int):
 
     def epoch(state, key, hyper, env):
         setup = train.setup(hyper, env)
-        experience, state = experience_of(setup, state, 0)
+        experience, state = make_experience(setup, state, 0)
         state, metrics = updates(setup, experience, state, key, updates_per_epoch)
         return state, metrics
 
@@ -221,7 +221,7 @@ def least(train) -> dict[str, int]:
     state = jax.eval_shape(train.initial, key, hyper, env)
 
     def one(state, key):
-        experience, state = experience_of(setup, state, 0)
+        experience, state = make_experience(setup, state, 0)
         drawn = sample(setup, experience, key)
         return drawn, update(setup, experience, state, drawn, key)[0].params
 
@@ -239,7 +239,7 @@ def least(train) -> dict[str, int]:
     states = 2 * config.batch_size
     states = states if env.num_observations is None else min(states, env.num_observations)
     program = jax.make_jaxpr(lambda state, experience, drawn, key: update(setup, experience, state, drawn, key))
-    experience = jax.eval_shape(lambda state: experience_of(setup, state, 0)[0], state)
+    experience = jax.eval_shape(lambda state: make_experience(setup, state, 0)[0], state)
     made = products(program(state, experience, drawn, key))
     return {
         "inputs": states * size_of(seen) + goals * size_of(goal),

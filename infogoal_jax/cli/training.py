@@ -204,7 +204,7 @@ def is_sweep(folder: str) -> bool:
 
 def read_settings(words: tuple[str, ...]) -> list[dict[str, float]]:
     """The settings that these words ask for, such as learning_rate=1e-4,3e-4. Raises `UserError` for other words."""
-    from infogoal_jax.runner.jobs import settings_of
+    from infogoal_jax.runner.jobs import combinations
 
     values: dict[str, list[float]] = {}
     for word in words:
@@ -216,7 +216,7 @@ def read_settings(words: tuple[str, ...]) -> list[dict[str, float]]:
             values[name] = [float(value) for value in listed.split(",")]
         except ValueError:
             raise UserError(f"sweep = {word!r}: {remedy}") from None
-    return settings_of(values)
+    return combinations(values)
 
 
 def train_parts(

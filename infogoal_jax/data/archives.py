@@ -200,7 +200,7 @@ def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
             ) from error
 
 
-def content_of(*parts: np.ndarray) -> str:
+def checksum(*parts: np.ndarray) -> str:
     """A checksum of these arrays, eight letters, for the words that say which data a run saw."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]
 

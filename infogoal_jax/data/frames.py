@@ -69,7 +69,7 @@ class FrameDataset:
         """What the data are, in words: the name, whether it is a stand-in, and a checksum of these arrays."""
         return (
             f"{self.about['name']}{', a stand-in' if self.about.get('stand_in') else ''}, content "
-            f"{archives.content_of(*content)}"
+            f"{archives.checksum(*content)}"
         )
 
     @property

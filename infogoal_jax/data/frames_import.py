@@ -422,7 +422,7 @@ def grid_moves(
         require(not name.endswith("_m"), "wrap", name, "slides, in metres, and cannot go round")
     places, turns = zip(
         *(
-            axis_of(table, rows, joint, values[:, column], joint.removeprefix("joint_") in wrap)
+            grid_places(table, rows, joint, values[:, column], joint.removeprefix("joint_") in wrap)
             for column, joint in enumerate(joints)
         ),
         strict=True,
@@ -456,7 +456,7 @@ def grid_moves(
     return moves, actions
 
 
-def axis_of(table: Path, rows: list[Row], joint: str, values: np.ndarray, wraps: bool) -> tuple[np.ndarray, int]:
+def grid_places(table: Path, rows: list[Row], joint: str, values: np.ndarray, wraps: bool) -> tuple[np.ndarray, int]:
     """The place of each value on its joint's grid, int [K], and the number of places of a full turn, 0 where the joint
     does not go round."""
     settings, which = np.unique(values, return_inverse=True)

@@ -199,7 +199,7 @@ def from_brax(
         drawn = drawn_goals(task, goals_drawn)
         spread = np.maximum(MARGIN * np.ptp(drawn, 0), radius)
         low, high = drawn.min(0) - spread, drawn.max(0) + spread
-        sampler = partial(one_of, drawn)
+        sampler = partial(draw_one, drawn)
     goals = GoalBox.of(low, high, sampler=sampler, use_of=held_out, num_evaluated=num_evaluated)
     require(goals.shape == (goal_size,), "low", np.shape(low), f"give as many numbers as goal has, {goal_size}")
     return task.replace(goals=goals)
@@ -474,7 +474,7 @@ def drawn_goals(task: AdaptedTask, count: int) -> np.ndarray:
     return drawn
 
 
-def one_of(goals: np.ndarray, key: jax.Array) -> jax.Array:
+def draw_one(goals: np.ndarray, key: jax.Array) -> jax.Array:
     """One of these goals [M, D], each equally likely."""
     return jnp.asarray(goals)[jax.random.randint(key, (), 0, len(goals), jnp.int32)]
 

@@ -55,7 +55,7 @@ class Environment:
     """Steps after which an episode is truncated."""
     source: str
     """What the data is, in words, for reports; stand-in data is called so. With a checksum of what was read from files,
-    by which a run that goes on knows them again (`archives.content_of`)."""
+    by which a run that goes on knows them again (`archives.checksum`)."""
     space: Any
     """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py,
     envs/target_states.py)."""

@@ -200,7 +200,7 @@ def from_data(
         f"can be reached within {episode_length} steps from nowhere in {scenes.source}: take it out of the split, "
         "lower env.min_box_size, or run `infogoal data check` on the dataset",
     )
-    content = archives.content_of(scenes.images, scenes.next_state, scenes.visible, inputs)
+    content = archives.checksum(scenes.images, scenes.next_state, scenes.visible, inputs)
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
     goals = GoalSet.of(inputs, [split.rooms[name] for name in names], uses, names, split.room_names)
     kind, remembering = ObjectSearch, {}

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
-from infogoal_jax.data.archives import content_of
+from infogoal_jax.data.archives import checksum
 from infogoal_jax.data.episodes import Episodes, load
 from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.goal_task import GoalTask
@@ -59,7 +59,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     rows = rows_of(task, observations, achieved, episodes, seed)
     # Of a task whose source is settled by its class, nothing says which recordings it had.
     told = "source" in {field.name for field in dataclasses.fields(task)}
-    content = content_of(episodes.observations, episodes.actions)
+    content = checksum(episodes.observations, episodes.actions)
     said = {"source": f"{task.source}; learned from recordings {content}"} if told else {}
     return task.replace(recorded=jax.tree.map(jax.device_put, rows), **said)
 

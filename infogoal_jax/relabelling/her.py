@@ -73,13 +73,14 @@ class Prefixes:
     """As in `Achievements`."""
 
 
-def any_of(key: jax.Array, before: jax.Array, until: jax.Array) -> jax.Array:
+def draw_rank(key: jax.Array, before: jax.Array, until: jax.Array) -> jax.Array:
     """A rank from `before` to below `until`, uniformly, int32 [B]."""
     return jax.random.randint(key, before.shape, before, jnp.maximum(until, before + 1), jnp.int32)
 
 
 def soon(discount: jax.Array) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
-    """A rank as `any_of`, but each one further on is `discount` times as likely (a geometric distribution, cut off)."""
+    """A rank as `draw_rank`, but each one further on is `discount` times as likely (a geometric distribution, cut
+    off)."""
 
     def draw(key, before, until):
         left = jnp.maximum(until - before, 1)
@@ -92,7 +93,7 @@ def soon(discount: jax.Array) -> Callable[[jax.Array, jax.Array, jax.Array], jax
 
 
 def future_goal(
-    key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array, choose: Callable = any_of
+    key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array, choose: Callable = draw_rank
 ) -> jax.Array:
     """Draw a goal achieved after `step` in the same episode, [B, *shape]; "no goal" where there is none.
 

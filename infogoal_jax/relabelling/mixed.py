@@ -17,7 +17,7 @@ from infogoal_jax import pairs
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Count, Share
 from infogoal_jax.goals import is_goal, select
-from infogoal_jax.relabelling.her import any_known, any_of, future_goal, future_place
+from infogoal_jax.relabelling.her import any_known, draw_rank, future_goal, future_place
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints, check_room
 
 
@@ -58,11 +58,11 @@ class Table:
 
     def later(self, geometric: bool):
         """What chooses a later step, see `her.future_goal`."""
-        return until_the_end(self.discount) if geometric else any_of
+        return until_the_end(self.discount) if geometric else draw_rank
 
 
 def until_the_end(discount: jax.Array):
-    """A rank as `her.any_of`, by a geometric distribution whose tail counts as the last rank."""
+    """A rank as `her.draw_rank`, by a geometric distribution whose tail counts as the last rank."""
 
     def draw(key, before, until):
         drawn = jax.random.uniform(key, before.shape, jnp.float32)

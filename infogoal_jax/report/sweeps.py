@@ -15,7 +15,7 @@ from infogoal_jax.report.runs import diverged_seeds, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import number_table, print_run
 from infogoal_jax.runner.executors import Outcome, run_here
-from infogoal_jax.runner.jobs import Plan, run_plan, settings_of
+from infogoal_jax.runner.jobs import Plan, combinations, run_plan
 from infogoal_jax.runner.progress import say
 from infogoal_jax.runner.training import checked_seeds
 
@@ -84,7 +84,7 @@ def sweep(
     for name, listed in named.items():
         given = checks.array(listed, name, "numbers", ("N",), "give a list of numbers, such as [1e-4, 3e-4]")
         require(len(given) > 0, name, listed, "give at least one value")
-    plan = Plan(settings_of(named), list(checked_seeds(seeds)), seeds_at_once)
+    plan = Plan(combinations(named), list(checked_seeds(seeds)), seeds_at_once)
     run_plan(config, plan, Path(folder), resume, execute)
     return SweepResult(Path(folder), plan)
 

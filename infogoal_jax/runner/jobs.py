@@ -152,7 +152,7 @@ def is_trained(folder: Path, config: TrainConfig) -> bool:
     return checkpoint.read_header(path)[0]["epoch"] >= config.num_epochs
 
 
-def settings_of(values: dict[str, Sequence[float]]) -> list[dict[str, float]]:
+def combinations(values: dict[str, Sequence[float]]) -> list[dict[str, float]]:
     """Every combination of the values of these floats; one without any where there are none."""
     return [
         dict(zip(values, map(float, combination), strict=True)) for combination in itertools.product(*values.values())

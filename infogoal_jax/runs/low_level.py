@@ -97,5 +97,5 @@ def read(path: str, env: Environment) -> tuple[dict[str, Any], LowLevel]:
         f"{'moves' if env.discrete else 'numbers of an action'} of {task} as it is configured; train one with "
         f"`infogoal pretrain {task}`",
     )
-    words = archives.content_of(np.frombuffer(low_level.program.encode(), np.uint8), *policy.constants)
+    words = archives.checksum(np.frombuffer(low_level.program.encode(), np.uint8), *policy.constants)
     return about | {"content": about.get("content", words)}, low_level

@@ -19,7 +19,7 @@ def learns_from_costs(relabelling: Relabelling | None) -> bool:
     return relabelling is not None and relabelling.costs is not None
 
 
-def costs_of(
+def sample_costs(
     setup: Setup, experience: Experience, key: jax.Array, batch: Transitions, row: jax.Array, step: jax.Array
 ) -> dict[str, Any]:
     """The fields of `Sample` for transitions of one step with costs: -1, and nothing once the goal is achieved before

@@ -129,7 +129,7 @@ def external_reward(env: Environment, transitions: Transitions) -> jax.Array:
     return env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
 
 
-def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[Experience, TrainState]:
+def make_experience(setup: Setup, state: TrainState, number: jax.Array) -> tuple[Experience, TrainState]:
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
     parts, _, env = setup
     offline = env.recorded is not None

@@ -67,14 +67,14 @@ def make_parts(config: TrainConfig, env) -> Parts:
     )
 
 
-def spec_of(parts: Parts) -> AllGoalsSpec | None:
+def all_goals_spec(parts: Parts) -> AllGoalsSpec | None:
     """What the relabelling asks for; None where a transition has one goal."""
     return None if parts.relabelling is None else parts.relabelling.all_goals
 
 
 def sees_means(parts: Parts) -> bool:
     """Whether the agent learns from means of codes and acts on them, in place of samples."""
-    spec = spec_of(parts)
+    spec = all_goals_spec(parts)
     return spec is not None and spec.mean_code
 
 

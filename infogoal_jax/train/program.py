@@ -27,7 +27,7 @@ from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.contracts import check_simulated, with_checked_inputs
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate_settings
-from infogoal_jax.train.experience import collect_epoch, experience_of, first_dissimilarity, update_statistics
+from infogoal_jax.train.experience import collect_epoch, first_dissimilarity, make_experience, update_statistics
 from infogoal_jax.train.metrics import count_dissimilar_regions
 from infogoal_jax.train.parts import (
     INITIAL,
@@ -181,7 +181,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         setup, collected = Setup(parts, hyper, env), {}
         if env.recorded is None:
             state, collected = collect_epoch(setup, state, number)
-        experience, state = experience_of(setup, state, number)
+        experience, state = make_experience(setup, state, number)
         update_key = numbered(state.key, UPDATE, number)
         state, metrics = updates(setup, experience, state, update_key, config.updates_per_epoch)
         metrics |= collected

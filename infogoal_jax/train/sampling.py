@@ -10,12 +10,12 @@ from infogoal_jax import replay
 from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.costs import costs_of, learns_from_costs
+from infogoal_jax.train.costs import learns_from_costs, sample_costs
 from infogoal_jax.train.dissimilar import sample_apart, sample_pairs_by_distance
 from infogoal_jax.train.experience import Experience, external_reward, usable_goals
 from infogoal_jax.train.exploring import steps_explored
 from infogoal_jax.train.many_goals import draw_goals, draw_goals_to_learn, goals_to_learn
-from infogoal_jax.train.parts import Setup, spec_of
+from infogoal_jax.train.parts import Setup, all_goals_spec
 from infogoal_jax.train.relabelled import RelabelledBatch, relabel_for_learner, with_relabelled_goals
 
 
@@ -71,15 +71,15 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     drawn = Sample(transitions, external_reward(env, transitions), usable_goals(setup, transitions.records), pairs=None)
     if learns_from_costs(relabelling):
         costs_key = jax.random.fold_in(key, 6)
-        drawn = drawn.replace(**costs_of(setup, experience, costs_key, drawn.transitions, row, step))
+        drawn = drawn.replace(**sample_costs(setup, experience, costs_key, drawn.transitions, row, step))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
     if spec.num_goals:
         drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
-    if spec_of(parts) is not None:
+    if all_goals_spec(parts) is not None:
         known, many_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
-        goals, weight = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
+        goals, weight = draw_goals(all_goals_spec(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
         drawn = drawn.replace(all_goals=goals, goal_weight=weight)
     if spec.first_seen:
         ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]

@@ -136,8 +136,9 @@ def test_one_method_is_read_in_as_many_lines_as_the_page_says():
     text = (ROOT / "docs" / "reference" / "architecture.md").read_text()
     rows = re.findall(r"^\| \d+ \| `([^`]+)` \| (.*) \|$", text, re.M)
     lines = sum(lines_to_read(ROOT / path, re.findall(r"`(\w+)`", words)) for path, words in rows)
-    assert len(rows) == 11 and "of eleven files" in text
-    assert lines <= 1600 and f"{round(lines, -1):,} lines" in text
+    said = re.search(r"some ([\d,]+) lines of eleven files", text)
+    assert len(rows) == 11
+    assert lines <= 1600 and abs(lines - int(said[1].replace(",", ""))) <= 50
 
 
 @pytest.mark.parametrize("page", [*PAGES, CHANGELOG], ids=lambda page: page.name)

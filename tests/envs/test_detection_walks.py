@@ -19,7 +19,7 @@ from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, from_data
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.episodes import rollout
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.sampling import sample
 
 
@@ -330,7 +330,7 @@ def test_questions_of_the_test_are_never_learned_from(env):
 
     @jax.jit
     def draws(state, keys):
-        experience, _ = experience_of(train.setup(env=env), state, 0)
+        experience, _ = make_experience(train.setup(env=env), state, 0)
         return jax.vmap(lambda key: sample(train.setup(env=env), experience, key))(keys)
 
     drawn = draws(state, jax.random.split(jax.random.key(1), 50))

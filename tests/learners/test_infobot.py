@@ -14,7 +14,7 @@ from infogoal_jax.learners.goal_encoder import kl_to_standard_normal
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.learner import GoalCode, Visited
 from infogoal_jax.relabelling.her import first_seen
-from infogoal_jax.train.experience import collect_epoch, experience_of
+from infogoal_jax.train.experience import collect_epoch, make_experience
 from infogoal_jax.train.sampling import sample
 
 FEATURES, GOALS = 4, 8
@@ -255,7 +255,7 @@ def test_goals_first_seen_are_those_of_the_step_that_is_learned_from():
     def drawn(key):
         setup = train.setup()
         state, _ = collect_epoch(setup, train.initial(key, config.hyper, train.env), 0)
-        experience, _ = experience_of(setup, state, jnp.asarray(0))
+        experience, _ = make_experience(setup, state, jnp.asarray(0))
         found = sample(setup, experience, jax.random.key(1))
         return experience.first_seen, experience.buffer, found.achieved, found.first_seen, found.transitions.mask
 

@@ -177,7 +177,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     for share, made in ((0.0, plain), (1.0, train)):
         draw = jax.jit(
             lambda state, made=made: sampling.sample(
-                made.setup(), experience.experience_of(made.setup(), state, 0)[0], jax.random.key(1)
+                made.setup(), experience.make_experience(made.setup(), state, 0)[0], jax.random.key(1)
             )
         )
         drawn[share] = draw(state)

@@ -27,7 +27,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.report.runs import table_of
 from infogoal_jax.runner import executors, jobs, progress, training
 from infogoal_jax.runner.executors import Place, run_on_ray
-from infogoal_jax.runner.jobs import PARTS, Plan, jobs_of, read_plan, run_plan, settings_of
+from infogoal_jax.runner.jobs import PARTS, Plan, combinations, jobs_of, read_plan, run_plan
 from infogoal_jax.runs import checkpoint, configuration, tables
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
@@ -85,7 +85,7 @@ def test_a_part_is_the_run_of_its_seeds(tmp_path):
 
 
 def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
-    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4], "discount": [0.9]}), [0, 1], 1)
+    plan = Plan(combinations({"learning_rate": [1e-4, 3e-4], "discount": [0.9]}), [0, 1], 1)
     run_plan(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
     assert plan.names == ["learning_rate=0.0001,discount=0.9", "learning_rate=0.0003,discount=0.9"]
 
@@ -144,7 +144,7 @@ def test_programs_share_a_line_on_a_terminal(width, tmp_path, monkeypatch):
         drawn.append(line.of_width(width))
 
     monkeypatch.setattr(progress.ProgressLine, "advance", look)
-    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4]}), [0, 1], 0)
+    plan = Plan(combinations({"learning_rate": [1e-4, 3e-4]}), [0, 1], 0)
     run_plan(CONFIG, plan, tmp_path / "sweep")
     assert [line.split()[1] for line in drawn] == ["2/8", "4/8", "6/8", "8/8"] and "left" not in drawn[3]
     for line in drawn:
@@ -177,7 +177,7 @@ def test_programs_share_a_line_in_a_notebook(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.long  # A run that goes on counts its own epochs in test_host.py.
 def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
-    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4, 1e-3]}), [0], 0)
+    plan = Plan(combinations({"learning_rate": [1e-4, 3e-4, 1e-3]}), [0], 0)
     jobs.start(CONFIG, plan, tmp_path / "sweep")
     first = jobs_of(CONFIG, plan)[0]
     training.run(first.config, first.seeds, first.folder(tmp_path / "sweep"))
@@ -276,7 +276,7 @@ def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_pat
     """Four settings of twelve seeds in parts of three: all there, none of them twice but what the lost machine had, and
     the bits are those of one process."""
     there, machines = two_machines
-    plan = Plan(settings_of({"learning_rate": [1e-4, 2e-4, 3e-4, 4e-4]}), list(range(12)), 3)
+    plan = Plan(combinations({"learning_rate": [1e-4, 2e-4, 3e-4, 4e-4]}), list(range(12)), 3)
     run_plan(CONFIG, plan, tmp_path / "alone", say=lambda words: None)
     begun, folder = tmp_path / "begun", tmp_path / "cluster"
 
@@ -313,6 +313,6 @@ def test_several_processes_share_a_sweep(tmp_path):
 
 
 def test_a_job_says_what_it_is(tmp_path):
-    names = [job.name for job in jobs_of(CONFIG, Plan(settings_of({"discount": [0.9]}), [0, 1], 1))]
+    names = [job.name for job in jobs_of(CONFIG, Plan(combinations({"discount": [0.9]}), [0, 1], 1))]
     assert names == [f"{CONFIG.task} discount=0.9/0-0", f"{CONFIG.task} discount=0.9/1-1"]
     assert json.dumps(names) and Place(tmp_path).left() == float("inf") and executors.LOSSES > 1

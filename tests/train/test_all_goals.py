@@ -17,7 +17,7 @@ from infogoal_jax.loading import check_combination, load_environment
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.many_goals import draw_goals, goal_weights, under_all_goals
 from infogoal_jax.train.parts import Networks
 
@@ -78,7 +78,7 @@ def test_what_is_held_out_enters_neither_updates_nor_pairs(begun, known_goals, e
     """Though every goal was achieved."""
     train, (_, state) = training("infogoal", known_goals=known_goals), begun
     seen = state.replace(seen=jnp.ones_like(state.seen))
-    known = jax.jit(lambda state: experience_of(train.setup(), state, 0)[0].known.mask)(seen)
+    known = jax.jit(lambda state: make_experience(train.setup(), state, 0)[0].known.mask)(seen)
     for mask in (np.asarray(known), np.asarray(train.env.goals.usable_mask(known_goals))):
         assert mask[TRAIN].all() and mask[TEST].all() == mask[TEST].any() == enter
 

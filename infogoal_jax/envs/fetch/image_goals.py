@@ -163,7 +163,7 @@ def from_data(
     training goal nearest to it."""
     training = np.flatnonzero(uses == 0)
     nearest = np.linalg.norm(bank.positions[:, None] - bank.positions[training], axis=-1).argmin(1)
-    content = archives.content_of(bank.images, bank.positions)
+    content = archives.checksum(bank.images, bank.positions)
     kinds = ("grid", "training", "validation", "test")
     names = tuple(
         f"{kinds[use + 1]} {np.round(place.astype(float), 3).tolist()}"
