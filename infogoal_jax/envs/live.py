@@ -54,6 +54,11 @@ class Row(NamedTuple):
     done: jax.Array
     cut: jax.Array
 
+    @property
+    def over(self) -> bool:
+        """Of one environment: whether its episode has failed or was truncated."""
+        return bool(self.done or self.cut)
+
 
 @flax.struct.dataclass
 class LiveTask(AdaptedTask):
@@ -327,6 +332,12 @@ class Simulator:
         away = np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) >= self.radius
         return Row(self.read(), self.observed(seen), np.float32(bool(terminated) and away), np.bool_(truncated))
 
+    def following(self, row: Row, action: np.ndarray) -> Row:
+        """The step after a row, to which the environment is put back; one that is over stays: its next state is not
+        used, and an environment may refuse to step."""
+        self.write(row.bytes)
+        return row if row.over else self.step(action)
+
     def check_put_back(self) -> None:
         """Raise `UserError` unless an episode with the environment put back into each state, and another played in
         between, is the one that it plays alone."""
@@ -334,19 +345,18 @@ class Simulator:
         actions = np.random.default_rng(0).uniform(-1, 1, (PLAYED, size)).astype(np.float32)
         alone, other = [self.reset(1)], self.reset(2)
         self.reset(1)
-        alone += [self.step(action) for action in actions]
+        for action in actions:
+            alone += [] if alone[-1].over else [self.step(action)]
         row = self.reset(1)
-        for number in range(PLAYED + 1):
+        for number in range(len(alone)):
             same = all(np.array_equal(row.obs[name], alone[number].obs[name], equal_nan=True) for name in PARTS)
             where = f"after {number} steps" if number else "after a reset with the same seed"
             remedy = "give read and write, which hold all that a step uses; a step may draw no random numbers"
             same = same and row[2:] == alone[number][2:]
             require(same, "make", self.name, f"goes elsewhere {where} when put back; {remedy}")
-            if number < PLAYED:
-                self.write(other.bytes)
-                other = self.step(-actions[number])
-                self.write(row.bytes)
-                row = self.step(actions[number])
+            if number + 1 < len(alone):
+                other = self.following(other, -actions[number])
+                row = self.following(row, actions[number])
 
 
 def said(field: str, function: Callable, *arguments: Any) -> Any:
@@ -410,7 +420,7 @@ class Batch:
 
     def step(self, row: Row, action: jax.Array) -> Row:
         """The environment after an action."""
-        return jax.pure_callback(self.step_rows, self.shapes, row.bytes, action, vmap_method="broadcast_all")
+        return jax.pure_callback(self.step_rows, self.shapes, row, action, vmap_method="broadcast_all")
 
     def reset_rows(self, seeds: Any) -> Row:
         """Resets for seeds [...]."""
@@ -418,16 +428,16 @@ class Batch:
         flat = seeds.reshape(-1)
         return self.played(seeds.shape, lambda simulator, row: simulator.reset(int(flat[row])))
 
-    def step_rows(self, states: Any, actions: Any) -> Row:
-        """Steps of states [..., W] under actions [..., A]."""
-        states, actions = np.asarray(states), np.asarray(actions)
-        each, pushes = states.reshape(-1, states.shape[-1]), actions.reshape(-1, actions.shape[-1])
+    def step_rows(self, rows: Row, actions: Any) -> Row:
+        """Steps of rows [...] under actions [..., A]."""
+        rows, pushes = jax.tree.map(np.asarray, (rows, actions))
+        axes = rows.done.shape
+        rows, pushes = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(axes) :]), (rows, pushes))
 
-        def play(simulator: Simulator, row: int) -> Row:
-            simulator.write(each[row])
-            return simulator.step(pushes[row])
+        def play(simulator: Simulator, number: int) -> Row:
+            return simulator.following(jax.tree.map(lambda leaf: leaf[number], rows), pushes[number])
 
-        return self.played(states.shape[:-1], play)
+        return self.played(axes, play)
 
     def played(self, axes: tuple[int, ...], play: Callable[[Simulator, int], Row]) -> Row:
         """The rows [axes] that simulators play, each a part of them."""

@@ -45,6 +45,20 @@ class Hidden(GoalEnv):
         }
 
 
+class Strict(Hidden):
+    """It fails after three steps, and refuses a fourth."""
+
+    def step(self, action):
+        assert self.steps < 3, "call reset"
+        self.steps += 1
+        seen, reward, _, _, info = super().step(action)
+        return seen, reward, self.steps == 3, False, info
+
+    def begin(self):
+        super().begin()
+        self.steps = 0
+
+
 class Noisy(Mass):
     """Every step is pushed at random."""
 
@@ -161,6 +175,23 @@ def test_ends_of_an_episode_are_told_apart():
     (flags, time), (ended, sooner) = play(task_of(Mass), [1.0, 1.0]), play(task_of(Mass, ends_at_goal=True), [1.0, 1.0])
     assert flags == [False, True, True] and time < LIMIT
     assert ended == [True, False, False] and sooner < time
+
+
+def test_an_environment_that_is_over_is_not_stepped():
+    def read(env):
+        return np.append(read_hidden(env), env.unwrapped.steps)
+
+    def write(env, state):
+        write_hidden(env, state[:-1])
+        env.unwrapped.steps = state[-1]
+
+    task = envs.from_gymnasium(Strict, episode_length=LIMIT, read=read, write=write, num_evaluated=2)
+    state = task.reset_to(KEYS[0], np.full(2, 0.9))
+    ends = []
+    for _ in range(5):
+        state = task.step(state, np.zeros(2, np.float32))
+        ends.append(bool(state.truncated))
+    assert ends == [False, False, True, True, True]
 
 
 def test_actions_reach_from_bound_to_bound():
@@ -302,7 +333,7 @@ def test_a_robot_that_fails_in_a_compiled_program_is_one_line(broken_id, monkeyp
         task = envs.from_gymnasium(broken_id, ends_at_goal=False, num_evaluated=4)
         state, step = jax.jit(task.reset)(KEYS[0]), jax.jit(task.step)
         for _ in range(4 * LIMIT):
-            state = step(state, np.ones(2, np.float32))
+            state = step(state, np.zeros(2, np.float32))
         jax.block_until_ready(state)
 
     monkeypatch.setattr(cli, "run", play)
