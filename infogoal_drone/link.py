@@ -38,7 +38,12 @@ class Address(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What came of a command. outcome: made, refused or unanswered; text: of the answer; sent, received: s."""
+    """What came of a command.
+
+    outcome: made, refused or unanswered.
+    text: of the answer.
+    sent, received: s.
+    """
 
     outcome: str
     text: str

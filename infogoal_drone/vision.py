@@ -45,7 +45,12 @@ EDGE = 1.0
 
 
 class Picture(NamedTuple):
-    """An image of the video. time: of arrival, s; small: uint8 RGB [H, W, 3]; whole: uint8 RGB, as it was streamed."""
+    """An image of the video.
+
+    time: of arrival, s.
+    small: uint8 RGB [H, W, 3].
+    whole: uint8 RGB, as it was streamed.
+    """
 
     time: float
     small: np.ndarray

@@ -29,9 +29,9 @@ from infogoal_jax.field_types import LARGEST_FLOAT, lies_in, plain
 class Search(NamedTuple):
     """Where a search looks for a number.
 
-    scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: in every search, or only
-    where it is asked for; is_term: it is the weight of a term of a method's own, which a search must not turn off: low
-    is its floor.
+    scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1.
+    always: in every search, or only where it is asked for.
+    is_term: it is the weight of a term of a method's own, which a search must not turn off: low is its floor.
     """
 
     low: float

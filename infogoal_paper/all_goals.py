@@ -168,9 +168,12 @@ def all_tables(results: Results) -> list[Table]:
 
 
 class Progress(NamedTuple):
-    """A row while it is trained. steps: thousands of the environment's until each evaluation [E], of updates where
-    flights are recorded; seconds: of training of one seed [E]; success: on test goals [seeds, E], mean over goal
-    sets."""
+    """A row while it is trained.
+
+    steps: thousands of the environment's until each evaluation [E], of updates where flights are recorded.
+    seconds: of training of one seed [E].
+    success: on test goals [seeds, E], mean over goal sets.
+    """
 
     steps: np.ndarray
     seconds: np.ndarray

@@ -26,8 +26,15 @@ ALL, SOME = "every method", "some methods"
 
 
 class Choice(NamedTuple):
-    """words: what was chosen; tasks, methods, fields: of presets, as patterns, method `-` for what all methods have;
-    by: which goals; on: which data; tries: for which methods; clean: whether it keeps the rule."""
+    """Values of presets that were chosen together.
+
+    words: what was chosen.
+    tasks, methods, fields: of presets, as patterns; method `-` for what all methods have.
+    by: which goals.
+    on: which data.
+    tries: for which methods.
+    clean: whether it keeps the rule.
+    """
 
     words: str
     tasks: tuple[str, ...]

@@ -39,9 +39,13 @@ LEAST_SEEDS = 3
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """What the numbers say about a claim. effect: the number that decides it, with its interval; None without runs;
-    above: the claim holds if the effect lies above it; words: what the effect is, and what else is to be known; faults:
-    why it does not count."""
+    """What the numbers say about a claim.
+
+    effect: the number that decides it, with its interval; None without runs.
+    above: the claim holds if the effect lies above it.
+    words: what the effect is, and what else is to be known.
+    faults: why it does not count.
+    """
 
     effect: Bounds | None
     words: str
@@ -537,8 +541,15 @@ def reward_near_goal(results: Results) -> Finding:
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """name: short; says: the claim; where: in the paper; test: what decides it, in words; find: what decides it;
-    of_table: whether it is about Table I, and so decided under both readings."""
+    """A claim of the paper.
+
+    name: short.
+    says: the claim.
+    where: in the paper.
+    test: what decides it, in words.
+    find: what decides it.
+    of_table: whether it is about Table I, and so decided under both readings.
+    """
 
     name: str
     says: str

@@ -68,9 +68,13 @@ def command_of(run: Run) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """What a run came to. about: machine, data, versions, times, configuration; evaluations: {metric: [seeds, E]};
-    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, on Fetch `near` bool
-    [M], and those of pictures."""
+    """What a run came to.
+
+    about: machine, data, versions, times, configuration.
+    evaluations: {metric: [seeds, E]}.
+    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, on Fetch `near` bool [M],
+        and those of pictures.
+    """
 
     run: Run
     about: dict[str, Any]
@@ -161,8 +165,12 @@ class RunFields:
 
 @dataclasses.dataclass(frozen=True)
 class About:
-    """What is read of what a file says of itself. metrics: of the last axis of its evaluations; updates: between two of
-    them; program: what all runs of its program cost together."""
+    """What is read of what a file says of itself.
+
+    metrics: of the last axis of its evaluations.
+    updates: between two of them.
+    program: what all runs of its program cost together.
+    """
 
     format: int
     metrics: list[str]

@@ -59,8 +59,13 @@ def share_out(training: batches.Training, runs: list[Run]) -> float:
 
 
 class Extras(NamedTuple):
-    """What is measured of a run when its training has ended. share: of the learner's loss in the gradient, of the first
-    seed; arrays: of its codes and pictures; error: why something could not be had; seconds: that it took."""
+    """What is measured of a run when its training has ended.
+
+    share: of the learner's loss in the gradient, of the first seed.
+    arrays: of its codes and pictures.
+    error: why something could not be had.
+    seconds: that it took.
+    """
 
     share: float | None = None
     arrays: dict[str, np.ndarray] = {}  # noqa: RUF012 (never written to)

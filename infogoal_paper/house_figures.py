@@ -43,10 +43,12 @@ SIGHT = "#F0E442"
 class Plan:
     """A house from above.
 
-    position: [S, 3] x and y in metres and heading in radians; known: bool [S], where they are; place: int [S], shared
-    by images of one spot;
-    part: int [S], shared by images that moves lead between; moves: int [M, 2] from image to image; spacing: metres of a
-    typical move.
+    position: [S, 3] x and y in metres and heading in radians.
+    known: bool [S], where they are.
+    place: int [S], shared by images of one spot.
+    part: int [S], shared by images that moves lead between.
+    moves: int [M, 2] from image to image.
+    spacing: metres of a typical move.
     """
 
     position: np.ndarray

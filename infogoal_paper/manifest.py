@@ -83,9 +83,14 @@ class Setting(NamedTuple):
 class Run:
     """A method on a goal set of a task, with its seeds.
 
-    task, method: names; relabelling, explorer: other parts than the method's, or None; goal_set: number of the goal
-    set; setting: a setting of floats; seeds: their numbers; toy: at a size at which nothing is learned; agent: another
-    than the task's own, or None; known_goals: which goals may enter training, as in `TrainConfig`.
+    task, method: names.
+    relabelling, explorer: other parts than the method's, or None.
+    goal_set: number of the goal set.
+    setting: a setting of floats.
+    seeds: their numbers.
+    toy: at a size at which nothing is learned.
+    agent: another than the task's own, or None.
+    known_goals: which goals may enter training, as in `TrainConfig`.
     """
 
     task: str

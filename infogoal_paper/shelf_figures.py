@@ -39,8 +39,9 @@ MOST_PANELS, LONGEST_NAME = 8, 72
 class Shelf:
     """The places from which a shelf was seen.
 
-    places: float [P, 2], x and y in metres; place: int [K] of each image, -1 where unknown; side: metres of a typical
-    move.
+    places: float [P, 2], x and y in metres.
+    place: int [K] of each image, -1 where unknown.
+    side: metres of a typical move.
     """
 
     places: np.ndarray

@@ -12,8 +12,14 @@ from infogoal_paper.scores import TwoIntervals
 
 
 class Cell(NamedTuple):
-    """A number of a table. ours: None where there is no run; paper: in words; rank: 1 for the best of its column, 2 for
-    the second best, else 0; marks: of what is wrong with it; run: the name of its first run."""
+    """A number of a table.
+
+    ours: None where there is no run.
+    paper: in words.
+    rank: 1 for the best of its column, 2 for the second best, else 0.
+    marks: of what is wrong with it.
+    run: the name of its first run.
+    """
 
     ours: TwoIntervals | None
     paper: str = ""
@@ -36,7 +42,13 @@ class Cell(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """A table. title: in words; head: of the columns; rows: name and cells, a cell or words; foot: lines below."""
+    """A table.
+
+    title: in words.
+    head: of the columns.
+    rows: name and cells, a cell or words.
+    foot: lines below.
+    """
 
     name: str
     title: str

@@ -11,9 +11,13 @@ REACH, PUSH, PICK_AND_PLACE = "fetch_reach", "fetch_push", "fetch_pick_and_place
 
 
 class Trial(NamedTuple):
-    """task: of the preset; method: `infogoal`, or with another relabelling `infogoal+her`. changes: dotted fields that
-    are changed in the preset. settings: names and float hyperparameters of each.
+    """A preset, what is changed in it, and the settings that are trained side by side.
 
+    task: of the preset.
+    method: `infogoal`, or with another relabelling `infogoal+her`.
+    changes: dotted fields that are changed in the preset.
+    settings: names and float hyperparameters of each.
+    seeds: of each setting.
     by_name: evaluate embodied question answering with the names of the objects in place of the questions about them.
     agent: another than the task's own.
     """

@@ -207,10 +207,13 @@ def error_metrics(values: jax.Array, target: jax.Array) -> dict[str, jax.Array]:
 
 
 class Losses(NamedTuple):
-    """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost
-    something beside it.
+    """The losses of an actor and its critics.
 
-    metrics: mean temporal-difference error and value, scalars; values: of those actions, float32 [B].
+    critic: of both critics.
+    actor: minus the value of the actor's own actions, and what these cost beside it.
+    actions: the actor's own, float32 [B, A].
+    metrics: mean temporal-difference error and value, scalars.
+    values: of those actions, float32 [B].
     """
 
     critic: jax.Array

@@ -46,7 +46,9 @@ RECORD = 1 + 3 * CROP_SIZE * CROP_SIZE  # Bytes: a label, then the red, the gree
 class Backgrounds:
     """Background images, RGB, and what they are.
 
-    train: uint8 [M1, 64, 64, 3]. test: uint8 [M2, 64, 64, 3], of other images. source: in words, for reports.
+    train: uint8 [M1, 64, 64, 3].
+    test: uint8 [M2, 64, 64, 3], of other images.
+    source: in words, for reports.
     """
 
     train: np.ndarray

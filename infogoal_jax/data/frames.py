@@ -30,17 +30,18 @@ TEXTS = ("actions", "objects", "joint_names")
 class FrameDataset:
     """K frames of S states, and M moves between frames.
 
-    frames: uint8 [K, H, W, C]. state: int32 [K], which state each frame shows, 0 to S - 1; several frames may show one
-    state.
-    actions: names of the A actions. objects: names of the O objects that are looked for, () where there are none.
-    frame, action, next_frame, trajectory, time: int32 [M]; terminal: bool [M], the last move of its trajectory. Moves
-    stand by trajectory and time.
-    rotation: float32 [K, 3, 3], orientation of the object; joints: float32 [K, J], radians (metres where the name ends
-    in _m);
-    position: float32 [K, 2 or 3], metres; detected: bool [K, O], whether each object is seen. Each is None where it is
-    not known.
-    joint_names: of the J joints. about: JSON values; `name` (in words), `stand_in` (bool: generated, not recorded) and
-    `made_by` (the command).
+    frames: uint8 [K, H, W, C].
+    state: int32 [K], which state each frame shows, 0 to S - 1; several frames may show one state.
+    actions: names of the A actions.
+    objects: names of the O objects that are looked for, () where there are none.
+    frame, action, next_frame, trajectory, time: int32 [M], of moves by trajectory and time.
+    terminal: bool [M], the last move of its trajectory.
+    rotation: float32 [K, 3, 3], orientation of the object; None where it is not known.
+    joints: float32 [K, J], radians (metres where the name ends in _m); None where they are not known.
+    position: float32 [K, 2 or 3], metres; None where it is not known.
+    detected: bool [K, O], whether each object is seen; None where it is not known.
+    joint_names: of the J joints.
+    about: JSON values; `name` (in words), `stand_in` (bool: generated, not recorded) and `made_by` (the command).
     """
 
     frames: np.ndarray

@@ -45,7 +45,12 @@ SAME_WITHIN = 1e-6
 
 
 class Row(NamedTuple):
-    """A row of the CSV. number: as a spreadsheet counts; cells: by column, stripped; faults: of all rows, in words."""
+    """A row of the CSV.
+
+    number: as a spreadsheet counts.
+    cells: by column, stripped.
+    faults: of all rows, in words.
+    """
 
     table: Path
     number: int

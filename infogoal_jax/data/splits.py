@@ -173,7 +173,10 @@ class AskedGoal(NamedTuple):
 class Questions:
     """N objects, each with its room, its use and five questions; all in the order of the file.
 
-    room_names: of R rooms. objects: N names. rooms: N positions in `room_names`. uses: N of "train" and "test".
+    room_names: of R rooms.
+    objects: N names.
+    rooms: N positions in `room_names`.
+    uses: N of "train" and "test".
     questions: N times five texts.
     """
 

@@ -46,8 +46,13 @@ PLAYED = 8
 
 
 class Row(NamedTuple):
-    """What the task carries of one environment. bytes: uint32 [W], the simulator's state; obs: dictionary of float32;
-    done: float32, the episode has failed; cut: bool, the environment has truncated it."""
+    """What the task carries of one environment.
+
+    bytes: uint32 [W], the simulator's state.
+    obs: dictionary of float32.
+    done: float32, the episode has failed.
+    cut: bool, the environment has truncated it.
+    """
 
     bytes: jax.Array
     obs: dict[str, jax.Array]

@@ -12,8 +12,9 @@ from typing import Any
 class Changes:
     """What a method changes in the preset of a task.
 
-    learner, relabelling: fields of its configuration, and of its relabelling's; hyper: float hyperparameters by dotted
-    name, "learner.beta"; training: fields of `TrainConfig`.
+    learner, relabelling: fields of its configuration, and of its relabelling's.
+    hyper: float hyperparameters by dotted name, "learner.beta".
+    training: fields of `TrainConfig`.
     """
 
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -26,10 +27,12 @@ class Changes:
 class Preset:
     """The tuned configuration of a task.
 
-    agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields of
-    every learner that has them. state_encoder: fields of the state encoder.
-    agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for
-    every method.
+    agent, relabelling: names of the task's own.
+    env: fields of the environment that training sets.
+    learner: fields of every learner that has them.
+    state_encoder: fields of the state encoder.
+    agents, relabellings: fields of an agent and of a relabelling by their names.
+    hyper, training: as in `Changes`, for every method.
     methods: what each method changes, or learner, or learner with a relabelling (`infobot+all_goals`).
     description: the task in a line, for the help of the command line.
     small: the preset of first trials; None: the task has none.

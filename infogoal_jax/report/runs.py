@@ -106,7 +106,12 @@ def read_params(run: Run, train: Train) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class RunTable:
-    """seeds: those that count; epochs: int [E], the numbers of the epochs; values: {name: [seeds, E, ...]}."""
+    """A table of a run as arrays.
+
+    seeds: those that count.
+    epochs: int [E], the numbers of the epochs.
+    values: {name: [seeds, E, ...]}.
+    """
 
     seeds: list[int]
     epochs: np.ndarray

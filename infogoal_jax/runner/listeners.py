@@ -24,9 +24,13 @@ SHOWN = {"train_goal/success_rate": "train", "test_goal/success_rate": "test"}
 
 
 class Listeners(NamedTuple):
-    """phase: called when a phase of the run begins, with its name and the epochs that are done; progress: called after
-    each chunk; end_progress: called after the last, so that what is printed stands below the bar; pictures: called with
-    files of figures (PNG) and videos (GIF), which TensorBoard and Weights & Biases are to show."""
+    """What hears of a run.
+
+    phase: called when a phase of the run begins, with its name and the epochs that are done.
+    progress: called after each chunk.
+    end_progress: called after the last, so that what is printed stands below the bar.
+    pictures: called with files of figures (PNG) and videos (GIF), which TensorBoard and Weights & Biases are to show.
+    """
 
     phase: training.Phase
     progress: tuple[training.Listener, ...]

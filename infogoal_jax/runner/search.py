@@ -61,8 +61,13 @@ BUDGET = ("num_epochs", "epochs_per_evaluation", "num_envs", "rollout_steps", "u
 
 
 class Watch(NamedTuple):
-    """What accompanies a search. folder: where it leaves its files; command: of the command line that goes on with it;
-    compiling: called before the program is compiled; evaluated: called after each evaluation."""
+    """What accompanies a search.
+
+    folder: where it leaves its files.
+    command: of the command line that goes on with it.
+    compiling: called before the program is compiled.
+    evaluated: called after each evaluation.
+    """
 
     folder: Path
     command: str = "tune"

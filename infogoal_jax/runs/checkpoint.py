@@ -134,8 +134,12 @@ def arrays(path: Path, payload: bytes, template: Any) -> Any:
 
 
 class Point(NamedTuple):
-    """Where a run goes on. epoch: done so far; states: of all seeds, None before the first checkpoint; rows: of each
-    table until then."""
+    """Where a run goes on.
+
+    epoch: done so far.
+    states: of all seeds, None before the first checkpoint.
+    rows: of each table until then.
+    """
 
     epoch: int
     states: Any

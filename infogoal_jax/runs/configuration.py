@@ -167,9 +167,13 @@ def hyper_of(values: Any, base: Hyperparameters, place: Place) -> Hyperparameter
 
 @dataclasses.dataclass(frozen=True)
 class Written:
-    """The fields of config.json. data: what the dataset was, in words (a stand-in is called one); versions: of this
-    package, jax, numpy and Python; device: its kind; imports: SHA-256 of each file of `--import` that it was made with,
-    by its name."""
+    """The fields of config.json.
+
+    data: what the dataset was, in words (a stand-in is called one).
+    versions: of this package, jax, numpy and Python.
+    device: its kind.
+    imports: SHA-256 of each file of `--import` that it was made with, by its name.
+    """
 
     config: Any
     seeds: list[int]

@@ -138,9 +138,16 @@ class Timing:
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """What `infogoal evaluate` found. epoch: of the parameters; starts: a goal; corruption: weight of the backgrounds,
-    None for goals that are not images; seeds: those that did not diverge; diverged: the others, with the epoch;
-    metrics: {name: [seeds, ...]}; goals: those that were typed, None for those of the task."""
+    """What `infogoal evaluate` found.
+
+    epoch: of the parameters.
+    starts: a goal.
+    corruption: weight of the backgrounds, None for goals that are not images.
+    seeds: those that did not diverge.
+    diverged: the others, with the epoch.
+    metrics: {name: [seeds, ...]}.
+    goals: those that were typed, None for those of the task.
+    """
 
     epoch: int
     starts: int

@@ -52,11 +52,14 @@ NOTHING = 65535
 class Scene:
     """What a seed fixes: the camera, the room, the cube's stickers.
 
-    size: pixels of the finished picture. eye [3]; axes [3, 3], rows right, down, forward; focal, centre [2] in pixels
-    of the large picture.
-    room: uint16 [L, L] surface numbers of the empty room, L = 4 size. colours [F, 3] RGB, normals [F, 3] of all
-    surfaces (those that move: at zero joints). stickers: int [6, 3, 3] colour number, faces +x -x +y -y +z -z. parts:
-    of the arm.
+    size: pixels of the finished picture.
+    eye: [3].
+    axes: [3, 3], rows right, down, forward.
+    focal, centre: a number and [2], in pixels of the large picture.
+    room: uint16 [L, L], surface numbers of the empty room, L = 4 size.
+    colours, normals: [F, 3] RGB, and [F, 3], of all surfaces (those that move: at zero joints).
+    stickers: int [6, 3, 3], colour number, faces +x -x +y -y +z -z.
+    parts: of the arm.
     """
 
     size: int

@@ -214,8 +214,13 @@ class TrainState:
 
 @flax.struct.dataclass
 class TrainResult:
-    """metrics: evaluations, {name: [num_evaluations, ...]}; epochs: {name: [num_epochs]}; params: the last parameters;
-    state: to go on from."""
+    """What training one seed returns.
+
+    metrics: evaluations, {name: [num_evaluations, ...]}.
+    epochs: {name: [num_epochs]}.
+    params: the last parameters.
+    state: to go on from.
+    """
 
     metrics: dict[str, jax.Array]
     epochs: dict[str, jax.Array]

@@ -19,7 +19,10 @@ class RelabelledBatch:
     """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their
     rewards, as changes.
 
-    goal: [B, *shape]; next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
+    goal: [B, *shape].
+    next_observation: [B, ...].
+    mask, external: float32 [B, n].
+    terminated: bool [B].
     """
 
     goal: jax.Array

@@ -20,9 +20,13 @@ from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined, once
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
-    """The softness of a constraint. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5
-    numbers, the last two 0.5 and 2); timestep in s; safe: whether the time constant is kept at two timesteps or more,
-    as MuJoCo does."""
+    """The softness of a constraint.
+
+    reference: time constant (s) and damping ratio.
+    impedance: MuJoCo's solimp (5 numbers, the last two 0.5 and 2).
+    timestep: s.
+    safe: whether the time constant is kept at two timesteps or more, as MuJoCo does.
+    """
 
     reference: tuple[float, float]
     impedance: tuple[float, ...]
@@ -102,10 +106,10 @@ def lengthened(softness: Softness, timestep: float, duration: float) -> Softness
 class ContactKind:
     """A pair of bodies, whose contact points share their physics.
 
-    dofs: +-1 or 0 [nv], the joints that move the second body minus those that move the first; friction: coefficients of
-    sliding and spinning;
-    torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3); margin: distance (m) at which it
-    begins to act.
+    dofs: +-1 or 0 [nv], the joints that move the second body minus those that move the first.
+    friction: coefficients of sliding and spinning.
+    torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3).
+    margin: distance (m) at which it begins to act.
     """
 
     dofs: np.ndarray
