@@ -10,12 +10,21 @@ themselves: their seconds for a round stand in the table. What is there already 
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.report.canvas import (
+    ROOM_COLOURS,
+    SHARE,
+    draw_curve,
+    empty_figure,
+    figure_style,
+    finish_share_axis,
+    save,
+)
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import markdown_lines, tight
@@ -23,6 +32,8 @@ from infogoal_paper.table_formats import markdown_lines, tight
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
 SUCCESS = 0.5
 """The success that seconds are counted to."""
+LEARNED = 0.05
+"""The success from which on a task is drawn."""
 
 
 @dataclasses.dataclass
@@ -103,18 +114,24 @@ def learnt_in(outcome: Outcome) -> np.ndarray:
     return np.concatenate([later[:1] if len(later) else outcome.steps, later])
 
 
+def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tuple[str, str, dict[str, Outcome]]]:
+    """Task, agent and the outcome of each side, in order."""
+    ordered = sorted(outcomes, key=lambda each: (*each.program(), each.seed))
+    for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
+        own = {side: list(seeds) for side, seeds in groupby(both, key=lambda each: each.side)}
+        yield task, agent, {side: timed_alone(joined(seeds), alone) for side, seeds in own.items()}
+
+
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
     """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are."""
     lines = []
-    ordered = sorted(outcomes, key=lambda each: (*each.program(), each.seed))
-    for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
-        sides = {side: timed_alone(joined(list(own)), alone) for side, own in groupby(both, key=lambda each: each.side)}
+    for task, agent, sides in compared(outcomes, alone):
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
             success = [tight(mean_interval(curves[:, place])) for place in (-1, np.abs(steps - reached).argmin())]
             speeds = [
-                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side == "ours" else "")
+                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side != "theirs" else "")
                 for own, other in (
                     (outcome.steps_per_second(), theirs and theirs.steps_per_second()),
                     (outcome.updates_per_second(), theirs and theirs.updates_per_second()),
@@ -156,6 +173,31 @@ def tables() -> dict[str, str]:
     """The table of the page; none without numbers."""
     kept = read()
     return {"peers": markdown_lines(HEAD, rows(kept["beside"], kept["alone"]))} if kept["beside"] else {}
+
+
+def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
+    """Draw success against environment steps, and against seconds of training a seed; a column for each task and agent
+    that both sides ran, and one of them learned."""
+    columns = [
+        each
+        for each in compared(outcomes, alone)
+        if len(each[2]) > 1 and max(np.mean(own.success, 0).max() for own in each[2].values()) > LEARNED
+    ]
+    with figure_style():
+        below = ("Mean over seeds, every seed a thin line; from three seeds on the 95 % interval.",)
+        figure = empty_figure("Beside JaxGCRL", below, (2.3 * len(columns), 4.2))
+        panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
+        for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
+            for colour, (side, outcome) in zip(ROOM_COLOURS, sides.items(), strict=False):
+                curves = np.array(outcome.success)
+                draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
+                draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
+            upper.set(title=f"{task}, {agent}", xlabel="million steps")
+            lower.set(xlabel="seconds a seed")
+            for axes in (upper, lower):
+                finish_share_axis(axes, "success" if axes in panels[:, 0] else "")
+        panels[0, 0].legend(fontsize="x-small")
+        save(figure, path)
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ them is replaced by what the numbers of the source give. Sources:
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
 --pictures draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png,
-all_goals.png and continuous_*.png, too.
+all_goals.png, jaxgcrl.png and continuous_*.png, too.
 """
 
 import argparse
@@ -385,7 +385,14 @@ def main():
             draw_sb3(sb3_curves(), SB3_HER / "learning.png")
             save(noise_numbers.figure(noise_numbers.read()), RESULTS / "noise.png")
         all_goals.draw_figure(numbers.load(RESULTS), RESULTS / "all_goals.png")
-        for path in (picture, RESULTS / "noise.png", *continuous.draw_all()):
+        beside = jaxgcrl.read()
+        jaxgcrl.draw(beside["beside"], beside["alone"], RESULTS / "jaxgcrl.png")
+        drawn = (
+            picture,
+            *(RESULTS / f"{name}.png" for name in ("noise", "all_goals", "jaxgcrl")),
+            *continuous.draw_all(),
+        )
+        for path in drawn:
             Image.open(path).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
 
 

@@ -3,7 +3,8 @@ against seconds and steps, steps and updates a second.
 
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
-        [--steps 2000000] [--evaluations 10] [--sides ours theirs] [--budget 540] [--first-seed 0] [--rounds 10]
+        [--steps 2000000] [--evaluations 10] [--sides ours theirs ours+infogoal]
+        [--budget 540] [--first-seed 0] [--rounds 10]
     python -m infogoal_paper.jaxgcrl RESULTS.json ...    # the table
 
 What is in RESULTS.json already is not run again, so that several calls fill one table. Once the budget, in seconds, is
@@ -12,9 +13,10 @@ size for a CPU, which checks that everything runs.
 
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
-and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. Success is the
-fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie between 0 and 1, an episode
-ends there; it goes on for contrastive RL, as for all of theirs.
+and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. The side
+ours+infogoal puts InfoGoal's code in place of the goal. Success is the fraction of episodes in which the goal is
+reached. For our TD3 and SAC, whose values lie between 0 and 1, an episode ends there; it goes on for contrastive RL, as
+for all of theirs.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
 counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
@@ -47,6 +49,8 @@ from infogoal_paper.jaxgcrl import Outcome, load
 
 OURS = presets.JAXGCRL.training
 """Our sizes, which are JaxGCRL's own where it has them."""
+SIDES = {"ours": "none", "ours+infogoal": "infogoal"}
+"""The goal learner of each side of ours."""
 STEPS_PER_UPDATE = OURS["num_envs"] * OURS["rollout_steps"] // OURS["updates_per_epoch"]
 
 
@@ -90,7 +94,7 @@ TOY = Sizes(
 )
 
 
-def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
+def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
     """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
     first evaluation after the deadline, in seconds of `time.perf_counter`."""
     num_goals = sizes.num_eval // OURS["evaluation_starts"]
@@ -103,7 +107,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
     per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
     config = presets.load(
         name,
-        "none",
+        SIDES[side],
         agent=agent,
         num_epochs=sizes.evaluations * per_evaluation,
         epochs_per_evaluation=per_evaluation,
@@ -131,7 +135,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
     compiling = time.perf_counter() - started
 
     seconds, steps, success = [0.0], [], []
-    report("ours", task, agent, 0, compiling, float("nan"))
+    report(side, task, agent, 0, compiling, float("nan"))
     for epochs in numbers[: sizes.rounds]:
         started = time.perf_counter()
         state, _ = jax.block_until_ready(advance(state, epochs, *shared))
@@ -139,12 +143,12 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
         metrics = jax.device_get(evaluate(state, *shared))
         steps.append(float(np.mean(metrics["env_steps"])))
         success.append((metrics["first_reached"] <= sizes.episode_length).mean((1, 2)).tolist())
-        report("ours", task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
+        report(side, task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
         if time.perf_counter() > deadline:
             break
     updates = len(steps) * per_evaluation * config.updates_per_epoch
     curves = np.transpose(success).tolist()
-    return Outcome(task, agent, "ours", describe_machine(), 0, steps, seconds[1:], curves, seeds, updates, compiling)
+    return Outcome(task, agent, side, describe_machine(), 0, steps, seconds[1:], curves, seeds, updates, compiling)
 
 
 @contextlib.contextmanager
@@ -290,7 +294,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--tasks", nargs="+", default=["reacher", "ant"], choices=list(JAXGCRL))
     parser.add_argument("--agents", nargs="+", default=["crl", "sac", "td3"], choices=["crl", "sac", "td3"])
-    parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
+    parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=[*SIDES, "theirs"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0, help="of theirs; ours begin with 0")
     parser.add_argument("--rounds", type=int, default=Sizes.rounds, help="evaluations of a program, at most")
@@ -309,8 +313,7 @@ def main() -> None:
         """Ours first, then a seed of each of theirs, so that what the budget leaves out are seeds."""
         for task in words.tasks:
             for agent in words.agents:
-                if "ours" in words.sides:
-                    yield task, agent, "ours", 0
+                yield from ((task, agent, side, 0) for side in SIDES if side in words.sides)
         for seed in range(words.first_seed, words.first_seed + (words.seeds if "theirs" in words.sides else 0)):
             for task in words.tasks:
                 for agent in words.agents:
@@ -323,8 +326,8 @@ def main() -> None:
             print("the budget is spent; the same command goes on", file=sys.stderr)
             break
         try:
-            if side == "ours":
-                found = ours(task, agent, sizes, words.seeds, deadline)
+            if side in SIDES:
+                found = ours(task, agent, side, sizes, words.seeds, deadline)
             else:
                 found = theirs(task, agent, sizes, seed, deadline)
         except UserError as error:

@@ -66,3 +66,16 @@ def test_what_is_taken_again_replaces_what_was_there(numbers, tmp_path):
     kept = jaxgcrl.read()
     assert [each.success[0][0] for each in kept["beside"]] == [0.2] and len(kept["alone"]) == 1
     assert "0.60" in jaxgcrl.tables()["peers"]
+
+
+def test_what_both_sides_ran_and_one_learned_is_drawn(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(jaxgcrl, "save", lambda figure, path: drawn.append(figure))
+    low = [dataclasses.replace(outcome(side, success=0.01), task="pusher") for side in ("ours", "theirs")]
+    outcomes = [outcome("ours", seeds=4), outcome("ours+infogoal", success=0.2), outcome("theirs"), *low]
+    jaxgcrl.draw([*outcomes, dataclasses.replace(outcomes[0], task="maze")], [], tmp_path / "x.png")
+    upper, lower = drawn[0].axes
+    assert upper.get_title() == "ant, crl"
+    assert [line.get_label() for line in upper.lines if line.get_linewidth() > 1] == ["ours", "ours+infogoal", "theirs"]
+    np.testing.assert_allclose(upper.lines[0].get_xdata(), [1e-3, 2e-3, 3e-3])
+    np.testing.assert_allclose(lower.lines[0].get_xdata(), [0.5, 1.0, 1.5])  # Four seeds share 2 s a round.
