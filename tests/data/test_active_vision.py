@@ -174,7 +174,9 @@ def test_second_load_reads_the_cache(tiny_house, loaded, cache, monkeypatch):
     np.testing.assert_array_equal(again.position, loaded.position)
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "rubbish"])
+@pytest.mark.parametrize(
+    "damage", ["cut", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("empty", "rubbish"))]
+)
 def test_a_damaged_cache_is_made_again(tiny_house, loaded, tmp_path, damage):
     active_vision.load(tiny_house, objects=OBJECTS, cache_dir=tmp_path)
     (path,) = tmp_path.iterdir()

@@ -399,7 +399,7 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
 def test_a_region_of_recorded_states_is_held_out():
     middle = float(np.median(SIDE[:, 0]))
     task = from_recordings(of_arrays(recorded(observations=SIDE, actions=SIDE)), held_out=lambda goal: goal[0] > middle)
-    desired = np.asarray(jax.vmap(task.goals.draw)(jax.random.split(jax.random.key(0), 50)))
+    desired = np.asarray(jax.jit(jax.vmap(task.goals.draw))(jax.random.split(jax.random.key(0), 50)))
     assert (desired[:, 0] <= middle).all() and {"train", "test"} <= {*task.goals.groups}
 
 

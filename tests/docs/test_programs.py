@@ -212,7 +212,7 @@ def test_nobody_walks_through_the_wall_of_the_two_rooms():
         env = envs.load("two_rooms")
     places = jax.random.uniform(jax.random.key(0), (2000, 2), jnp.float32, 0.0, 2.0)
     actions = jax.random.uniform(jax.random.key(1), (2000, 2), jnp.float32, -1.0, 1.0)
-    moved = np.asarray(jax.vmap(env.move)(places, actions))
+    moved = np.asarray(jax.jit(jax.vmap(env.move))(places, actions))
     crossed = (np.asarray(places)[:, 0] < 1) != (moved[:, 0] < 1)
     assert crossed.any() and (np.abs(np.asarray(places)[crossed, 1] - 1) < 0.25).all()
 
@@ -229,7 +229,7 @@ def test_the_task_keeps_the_contract(own_task):
     """What is not written has the default that most tasks need."""
     env = own_task["env"]
     assert isinstance(env, Environment) and env.discrete and env.recorded is None and not env.has_target_states
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 50))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 50))
     assert not np.any(env.reached(env.achieved(state), state.goal)) and np.all(env.goals.train_mask[state.goal])
     assert (
         env.action_mask(env.observe(state)).shape == (50, 4)
