@@ -18,7 +18,7 @@ every_agent = pytest.mark.parametrize("name", VECTORS)
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long if name == "sac" else []) for name in VECTORS]
+    "name", [pytest.param(name, marks=[] if name == "crl" else pytest.mark.long) for name in VECTORS]
 )
 def test_critics_and_encoders_learn_from_the_critics_loss_alone(name):
     """Their gradient is the same whatever the actor does, and whatever actions cost or entropy is worth, where nothing

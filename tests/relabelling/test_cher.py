@@ -24,7 +24,7 @@ def coverage(similarity, chosen) -> float:
 
 def everything(count: int, picks: int):
     """Places at which every candidate that is left is compared; the last stands for those that are gone."""
-    return jnp.minimum(jnp.arange(count), count - 1 - jnp.arange(picks)[:, None])
+    return np.minimum(np.arange(count), count - 1 - np.arange(picks)[:, None])
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -78,12 +78,12 @@ def test_comparing_all_finds_the_best_choice_where_candidates_do_not_cover_each_
     )
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 5))])
 def test_greedy_cover_is_near_the_best_and_never_less_than_promised(seed):
     """Greedy choice of a monotone submodular function reaches at least 1 - 1/e of the best (Nemhauser et al. 1978)."""
     positions = jnp.asarray(np.random.default_rng(seed).normal(size=(10, 2)), jnp.float32)
     similarity = cher.dense_similarity(positions)
-    chosen = np.asarray(cher.pick_dense(similarity, jnp.zeros(10), everything(10, 4)))
+    chosen = np.asarray(jax.jit(cher.pick_dense)(similarity, np.zeros(10, np.float32), everything(10, 4)))
     values = [coverage(similarity, some) for some in itertools.combinations(range(10), 4)]
     assert len(set(chosen.tolist())) == 4
     assert coverage(similarity, chosen) >= (1 - 1 / np.e) * max(values)
@@ -94,7 +94,7 @@ def test_a_place_that_is_covered_is_not_chosen_again():
     """Five goals in one place, three in another: the second pick goes to the other, though each of the first place
     would cover more by itself."""
     similarity = cher.dense_similarity(jnp.asarray([[0.0]] * 5 + [[10.0]] * 3))
-    first, second = cher.pick_dense(similarity, jnp.zeros(8), everything(8, 2))
+    first, second = jax.jit(cher.pick_dense)(similarity, np.zeros(8, np.float32), everything(8, 2))
     assert first < 5 <= second
 
 
