@@ -1,15 +1,15 @@
 """Equal noise at test: success of every method against the probability of a random action, on sampled codes and on
 their means.
 
-    python -m infogoal_paper.noise --list
-    python -m infogoal_paper.noise --out FOLDER [--part A | --tasks ... --methods ...] [--minutes M] [--goal-images ...]
+    python -m infogoal_paper.noise --list [--tasks ...]
+    python -m infogoal_paper.noise --out FOLDER [--tasks ... --methods ...] [--missing] [--minutes M]
     python -m infogoal_paper.noise --merge FOLDER
 
 A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
 on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
 and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows,
 and what cannot end in what is left is not begun. Cubes of the studies beside are trained half as long. --list prints
-the queue, `noise_numbers.PARTS`, in order of what it would tell; --part runs what is missing of one of its parts.
+what docs/results/noise.csv.gz lacks of what is asked for, and --missing runs that alone.
 --merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the same tasks, methods
 and data sets; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says what came of it.
 """
@@ -40,7 +40,7 @@ from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
 from infogoal_paper.batches import over_environments, stacked
 from infogoal_paper.manifest import PRESET, Run, Setting
-from infogoal_paper.noise_numbers import DATA_SETS, EPSILONS, HELD_OUT, NUMBERS, PARTS, SEEDS, methods_of
+from infogoal_paper.noise_numbers import DATA_SETS, EPSILONS, HELD_OUT, NUMBERS, SEEDS, methods_of
 from infogoal_paper.plan import config_of
 from infogoal_paper.trial_numbers import Row
 
@@ -48,7 +48,7 @@ CHUNKS = 4
 """Of an equal number of updates, after each of which there is an evaluation."""
 HALF = 2
 """The cubes of the studies beside are trained for this share of their preset's updates, which take the most time."""
-BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ, noise_numbers.HELD_OUT_HRAC)
+BY_HALVES = (HELD_OUT, "object_manipulation+read", noise_numbers.HELD_OUT_HRAC)
 """These studies."""
 OF_SIZE = ("updates_per_epoch", "env.episode_length")
 """Fields that a toy has of its own."""
@@ -236,12 +236,10 @@ def main():
     parser.add_argument("--tasks", nargs="*", choices=DATA_SETS, default=list(DATA_SETS))
     parser.add_argument("--methods", nargs="*", help="left out: those of the task")
     parser.add_argument("--data-sets", nargs="*", type=int, help="numbers; left out: those of the study")
-    parser.add_argument("--part", nargs="*", choices=PARTS, help="parts of the queue, in place of tasks and methods")
-    parser.add_argument("--list", action="store_true", help="print the queue, what is missing of it, and stop")
+    parser.add_argument("--missing", action="store_true", help="leave out what the numbers have")
+    parser.add_argument("--list", action="store_true", help="print what the numbers lack of this, and stop")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="of each method and data set")
-    parser.add_argument(
-        "--goal-images", type=Path, metavar="FOLDER", help="further goal sets of Fetch, for parts K and L"
-    )
+    parser.add_argument("--goal-images", type=Path, metavar="FOLDER", help="further goal sets of Fetch")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
     parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the rows of this folder into the numbers")
@@ -249,30 +247,20 @@ def main():
     if arguments.merge is not None:
         print(f"{NUMBERS.name}: {', '.join(noise_numbers.merge(arguments.merge))}")
         return
-    kept = {noise_numbers.run_key(row) for row in noise_numbers.read()}
-    if arguments.list:
-        for name, part in PARTS.items():
-            lacking = [run for run in part.runs if not all((*run[:2], number) in kept for number in run[2])]
-            print(f"{name}, {part.processes} processes: {len(lacking)} of {len(part.runs)} are to be run")
-            print("\n".join(f"    {task} {method} {' '.join(map(str, sets))}" for task, method, sets in lacking))
-        return
-    if arguments.out is None:
-        parser.error("give --out FOLDER, --merge FOLDER or --list")
     unknown = set(arguments.methods or ()) - {method for task in DATA_SETS for method in methods_of(task)}
     if unknown:
         parser.error(f"--methods {' '.join(sorted(unknown))}: no task has them")
+    rows = noise_numbers.read() if arguments.missing or arguments.list else []
+    asked = noise_numbers.missing(rows, arguments.tasks, arguments.methods or (), arguments.data_sets or ())
+    if arguments.list:
+        for task, method, sets in asked:
+            print(task, method, *sets)
+        return
+    if arguments.out is None:
+        parser.error("give --out FOLDER, --merge FOLDER or --list")
     use_compilation_cache()
     arguments.out.mkdir(parents=True, exist_ok=True)
     deadline = time.time() + 60 * arguments.minutes
-    if arguments.part:
-        asked = [run for name in arguments.part for run in PARTS[name].runs]
-        asked = [run for run in asked if not all((*run[:2], number) in kept for number in run[2])]
-    else:
-        asked = [
-            (task, method, tuple(arguments.data_sets or DATA_SETS[task]))
-            for task in arguments.tasks
-            for method in arguments.methods or methods_of(task)
-        ]
     took: dict[str, float] = {}  # Seconds of the last run of each task, whatever the study.
     with stop_on_signal() as stop:
         for task, method, sets in asked:

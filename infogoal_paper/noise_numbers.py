@@ -21,9 +21,9 @@ epsilon of `EPSILONS` at which it reaches the most validation goals, the smalles
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -239,59 +239,17 @@ READING_WORDS = {
 }
 
 
-class Part(NamedTuple):
-    """A share of the queue for one GPU and one call. runs: (task, method, data sets)."""
-
-    processes: int
-    runs: tuple[tuple[str, str, tuple[int, ...]], ...]
-
-
-def all_of(*tasks: str) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
-    """Every method of these tasks, on all their data sets."""
-    return tuple((task, method, DATA_SETS[task]) for task in tasks for method in methods_of(task))
-
-
-SOONEST = ("infogoal+all_goals", "cogoal+all_goals", "all_goals", "her")
-FETCH_READ, CUBE_READ = ("fetch_reach+read", "fetch_pick_and_place+read"), "object_manipulation+read"
-SOONEST_READ = (
-    *("infogoal@desired", "infogoal+her@listed", "infogoal@listed", "her@corrupted", "infogoal+her@corrupted"),
-    *("infogoal@corrupted", "her@desired", "infogoal@listed_corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
-)
-PARTS = {
-    "A": Part(4, tuple((HELD_OUT, method, (10,)) for method in SOONEST)),
-    "B": Part(
-        14,
-        all_of(*HELD_OUT_FETCH)
-        + tuple((task, "gcb+her", DATA_SETS[task]) for task in ("object_search", *presets.FETCH_TASKS)),
-    ),
-    "C": Part(
-        16,
-        (
-            (HELD_OUT, "infogoal+all_goals+beta_0", (10,)),
-            *all_of(CUBE_READ)[:2],
-            *(run for run in all_of("object_search+read") if not run[1].endswith("@clean")),
-            *((task, method, (0,)) for method in SOONEST_READ for task in FETCH_READ),
-        ),
-    ),
-    "D": Part(
-        6, tuple((task, method, (0,)) for task in FETCH_READ for method in OF_FETCH if method not in SOONEST_READ)
-    ),
-    "E": Part(4, all_of(CUBE_READ)[3:6]),
-    "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
-    "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
-    "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
-    "L": Part(4, tuple(run for run in all_of(UNSEEN_FETCH) if not run[1].endswith("@clean"))),
-    "M": Part(2, all_of(FIRST_TRIALS)),
-    "K": Part(6, tuple(run for run in all_of(UNSEEN_FETCH) if run[1].endswith("@clean"))),
-    "N": Part(8, all_of(SEARCHING)),
-    "P": Part(6, all_of(HELD_OUT_SHELF)),
-    "Q": Part(6, tuple((HELD_OUT_HRAC, method, (8,)) for method in CARRYING)),
-    **{
-        name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
-        for name, cube in {"I": 8, "J": 9}.items()
-    },
-}
-"""What is to be run, in order, and by how many processes side by side."""
+def missing(
+    rows: Sequence[Row], tasks: Iterable[str], methods: Sequence[str] = (), data_sets: Sequence[int] = ()
+) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+    """What is asked for of these tasks and has no rows: task, method and data sets. methods, data_sets: left out, those
+    of the task."""
+    kept = {run_key(row) for row in rows}
+    for task in tasks:
+        for method in methods or methods_of(task):
+            sets = tuple(number for number in data_sets or DATA_SETS[task] if (task, method, number) not in kept)
+            if sets:
+                yield task, method, sets
 
 
 TITLES = {

@@ -173,16 +173,17 @@ def test_a_first_place_at_equal_noise_is_decided_by_the_weakest_difference(rival
     assert found.verdict == ("fails" if verdict == "fails" else "cannot be told") and "GCB not run" in found.words
 
 
-def test_the_queue_names_runs_that_there_are_and_each_once():
-    runs = [
-        (task, method, number)
-        for part in noise_numbers.PARTS.values()
-        for task, method, sets in part.runs
-        for number in sets
+def test_what_is_missing_of_a_study_is_what_has_no_rows():
+    rows = [
+        {"task": "embodied_qa", "method": method, "data_set": number} for method in ("her", "rad") for number in (7, 9)
     ]
-    assert len(runs) == len(set(runs))
-    for task, method, number in runs:
-        assert method in noise_numbers.methods_of(task) and number in noise_numbers.DATA_SETS[task]
+    asked = ["embodied_qa"], ["her", "none"]
+    assert list(noise_numbers.missing(rows, *asked)) == [
+        ("embodied_qa", "her", (8,)),
+        ("embodied_qa", "none", (7, 8, 9)),
+    ]
+    assert list(noise_numbers.missing(rows, *asked, [9])) == [("embodied_qa", "none", (9,))]
+    assert len(list(noise_numbers.missing([], asked[0]))) == len(noise_numbers.METHODS)
 
 
 def test_a_reading_changes_its_preset_alone():
@@ -299,7 +300,7 @@ def test_what_a_memory_does_to_a_lead_is_paired_and_what_is_changed_is_a_field()
 
 
 def test_clean_choices_of_fetch_stand_beside_presets_on_goal_sets_that_no_choice_has_seen():
-    assert {number for _, _, sets in noise_numbers.PARTS["K"].runs for number in sets} == {7, 8, 9}
+    assert noise_numbers.DATA_SETS[noise_numbers.UNSEEN_FETCH] == (7, 8, 9)
     for method in noise_numbers.OF_REACH:
         task, chosen = noise_numbers.again("fetch_reach", method)
         assert task == noise_numbers.PRESETS_OF["fetch_reach"] and chosen in noise_numbers.methods_of(task)
