@@ -1,5 +1,8 @@
 """InfoBot's code pays for what it tells of the goal, and its bonus leads to states that were seldom visited."""
 
+import functools
+
+
 import hand_made
 import jax
 import jax.numpy as jnp
@@ -27,6 +30,7 @@ class Transitions:
         self.features = features
 
 
+@functools.cache
 def start(**changes):
     """A small learner with its parameters and state, and inputs of eight goals; beta does not warm up."""
     learner = infobot.make(infobot.InfoBotConfig(**({"hidden": (32,), "latent_size": 8, "warm_up": 0} | changes)))
