@@ -2,7 +2,6 @@
 
 import functools
 
-
 import hand_made
 import jax
 import jax.numpy as jnp
