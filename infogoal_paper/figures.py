@@ -51,7 +51,7 @@ def picture_of(results: Results, task: str, method: str, *settings: str) -> Resu
     return None
 
 
-def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> None:
+def codes_panel(axes: Axes, result: Result, view: int) -> None:
     """The codes of a run in one view of its goals, 0: clean; on the principal axes of the clean means."""
     arrays = {name: result.arrays[f"picture/{name}"] for name in ("code_mean", "code_region", "code_use")}
     mean, use = arrays["code_mean"].astype(float), arrays["code_use"]
@@ -63,7 +63,7 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
         np.zeros((len(use), 1), np.float32), arrays["code_region"], uses, tuple(map(str, range(len(use)))), regions
     )
     code = GoalCode(mean[view], None if std is None else std[view].astype(float))
-    draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size, CODE_SAMPLES)
+    draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, 0.5, CODE_SAMPLES)
     axes.set_xticks([])
     axes.set_yticks([])
 

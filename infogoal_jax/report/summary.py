@@ -287,8 +287,8 @@ def evaluate_run(
     random action, negative for the run's own; corruption: weight of the backgrounds of corrupted goals, None for the
     run's own; env: the environment if it is loaded already; goals: those to evaluate, each as `typed_goal` takes it,
     none for those of the task. Returns {name: [seeds]} of the seeds that did not diverge, for typed goals
-    {name: [seeds, M]}. Raises `UserError` for values out of range, a corruption of goals that are no images or of typed
-    goals, a goal that the task does not have, a folder without a run, or damaged parameters.
+    {name: [seeds, M]}. Raises `UserError` for values out of range, a corruption of goals that are not images or of
+    typed goals, a goal that the task does not have, a folder without a run, or damaged parameters.
     """
     require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
     require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")

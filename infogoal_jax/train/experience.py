@@ -71,7 +71,7 @@ def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[T
         led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
         reached = (rows.truncated & env.reached(led_to, rows.goal)).sum(dtype=jnp.int32)
     counts = {}
-    if not env.goals.finite:  # A step that diverged is no transition, but ends its episode.
+    if not env.goals.finite:  # A step that diverged is marked invalid, and ends its episode.
         counts["collect/diverged"] = (~rows.valid & rows.truncated).sum(dtype=jnp.int32)
     return state, counts | {
         "collect/success_rate": reached.astype(jnp.float32) / ended.astype(jnp.float32),
