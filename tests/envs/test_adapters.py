@@ -165,6 +165,7 @@ def test_goals_are_the_environments_own_uniform_or_some_held_out():
     assert apart.goals.groups == ("train", "test") and (desired <= 0).all() and np.unique(desired).size > 150
 
 
+@pytest.mark.long  # It tells of time; what episodes begin with is above.
 def test_a_reset_is_computed_only_where_an_episode_has_ended():
     """Of several seeds side by side, too; the rows are those of an environment that is reset at every step."""
     resets = []

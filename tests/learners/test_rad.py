@@ -42,7 +42,7 @@ def offset_of(moved: np.ndarray, image: np.ndarray, shift: int) -> tuple[int, in
     return found[0]
 
 
-@pytest.mark.parametrize("batch", [(), (30,), (5, 6)])
+@pytest.mark.parametrize("batch", [(), pytest.param((30,), marks=pytest.mark.long), (5, 6)])
 def test_every_image_is_the_padded_original_at_some_shift(batch):
     before = images(*batch)
     after = AUGMENT(jax.random.key(0), jnp.asarray(before))

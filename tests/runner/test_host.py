@@ -192,6 +192,7 @@ def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
     assert ("loading 2.0 s, tracing 0.0 s" in shown) == (width >= 100)
 
 
+@pytest.mark.long  # It tells of time alone; that members are the same seeds is above.
 def test_first_states_are_traced_once_for_all_members():
     """And once more for one member alone, by whose size the memory is shared out."""
     train, traced = make_train(hand_made.config("none"), hand_made.environment()), []

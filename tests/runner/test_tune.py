@@ -138,14 +138,19 @@ def test_the_space_is_one_of_hyperparameters_that_can_be_had():
 @pytest.mark.parametrize(
     ("method", "changes", "searched", "left_alone"),
     [
-        pytest.param(
+        (
             "none",
             {"agent": "cql"},
             {"agent.conservative_weight", "epsilon"},
             {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"},
+        ),
+        pytest.param(
+            "infogoal",
+            {},
+            {"learner_weight", "intrinsic_weight", "learner.beta_step"},
+            {"learner.fixed_beta", "noise"},
             marks=pytest.mark.long,
         ),
-        ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
     ],
 )
 def test_a_method_is_searched_in_what_it_depends_on(method, changes, searched, left_alone, env):
