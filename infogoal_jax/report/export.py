@@ -152,19 +152,23 @@ def driving(train: Train, params: Any):
     """The function (observation, goal input, noise [d], body, target, decides) -> (action, target) of these parameters,
     and its arguments' shapes.
 
-    body: the floats of the stored observation, which tell where the robot is; target: the state that the low level is
-    on its way to; decides: bool, whether the high level chooses another one. Without levels the target is the action.
+    body: the floats of the stored observation, which tell where the robot is; where these are not one array, the
+    observation, which then tells nothing of that. target: the state that the low level is on its way to; decides: bool,
+    whether the high level chooses another one. Without levels the target is the action.
     """
     (see, examples), parts, env = seen_through(train, params), train.parts, train.env
     steered = isinstance(env, SubgoalEnv)
     stored = one_observation(env)
     leaves, tree = jax.tree.flatten(stored)
-    (place,) = (number for number, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    places = [number for number, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    told = len(places) == 1
     others = [np.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
 
     def drive(observation, goal, noise, body, target, decides):
         features, code = see(observation, goal, noise)
-        whole = jax.tree.unflatten(tree, [*others[:place], body, *others[place + 1 :]])
+        whole = jax.tree.unflatten(
+            tree, [body if told and number in places else one for number, one in enumerate(others)]
+        )
         masks, key = env.action_mask(whole)[None], jax.random.key(0)
         (asked,) = parts.agent.act(params["agent"], features, code, masks, key, Exploration(0.0, 0.0))
         if not steered:
@@ -174,7 +178,8 @@ def driving(train: Train, params: Any):
         return env.low_level.act(whole, target), target
 
     target = jax.ShapeDtypeStruct((int(env.action_size),), jnp.float32)
-    return drive, (*examples, leaves[place], target, jax.ShapeDtypeStruct((), jnp.bool_))
+    body = leaves[places[0]] if told else examples[0]
+    return drive, (*examples, body, target, jax.ShapeDtypeStruct((), jnp.bool_))
 
 
 def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:

@@ -4,6 +4,7 @@ figures over the goal space."""
 import io
 import json
 
+import flax.struct
 import hand_made
 import hand_made_points
 import jax
@@ -15,7 +16,9 @@ from rich.console import Console
 
 from infogoal_jax import UserError, envs, evaluate, load_run, make_train, policy_file, presets, rollout
 from infogoal_jax.cli.main import main
+from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.report import export
 from infogoal_jax.report.figures import draw_figures, read_subject
 from infogoal_jax.report.goal_space_figures import corners_of, success_over_goals
@@ -170,6 +173,36 @@ def test_an_exported_policy_takes_any_goal_of_the_space(maze, tmp_path, monkeypa
     for goal in ([0.5], [0.5, 3.5], [0.5, np.nan], np.zeros((1, 2))):
         with pytest.raises(ValueError, match="goal = .*give 2 numbers from"):
             again.drive(places[0], goal, 0)
+
+
+@flax.struct.dataclass
+class Pictured(GoalTask):
+    """A point in a square that is seen in pictures."""
+
+    action_size = 2
+
+    def begin(self, key):
+        return jax.random.uniform(key, (2,))
+
+    def move(self, place, action):
+        return (place + 0.1 * action).clip(0.0, 1.0)
+
+    def observation(self, place):
+        row, column = (place * 7).astype(jnp.int32)
+        return jnp.zeros((8, 8, 1), jnp.uint8).at[row, column].set(255)
+
+    def achieved_goal(self, place):
+        return place
+
+
+def test_a_policy_that_sees_pictures_and_acts_by_vectors_is_exported():
+    """The observation stands where others have the floats of theirs, as `ExportedPolicy.drive` gives it."""
+    env = Pictured(GoalBox.of([0.0, 0.0], [1.0, 1.0]))
+    train = make_train(CONFIG, env)
+    drive, given = export.driving(train, hand_made_points.random_params(train))
+    observation, _, _, body, target, _ = given
+    assert observation.shape == body.shape == (8, 8, 1) and observation.dtype == body.dtype == np.uint8
+    assert all(found.shape == target.shape == (2,) for found in jax.eval_shape(drive, *given))
 
 
 @pytest.mark.long
