@@ -74,28 +74,28 @@ def export_params(
     members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
     if listed:
         members["goals"] = np.asarray(env.goals.inputs_of(jnp.arange(env.goals.num_goals)))
+    portable = None if stablehlo is None else as_stablehlo(stablehlo, function, examples)
     disk.make_folder(out.parent)
     disk.write_atomically(out, lambda file: np.savez_compressed(file, **members))
-    if stablehlo is not None:
-        write_stablehlo(stablehlo, function, examples)
+    if portable is not None:
+        disk.make_folder(stablehlo.parent)
+        disk.write_atomically(stablehlo, lambda file: file.write(portable))
     return policy_file.ExportedPolicy(out)
 
 
-def write_stablehlo(path: Path, function, examples) -> None:
-    """Write a function for arguments of these shapes as StableHLO, for every kind of device: `jax.export.deserialize`
-    reads it.
+def as_stablehlo(path: Path, function, examples) -> bytes:
+    """A function for arguments of these shapes as StableHLO, for every kind of device: `jax.export.deserialize` reads
+    it.
 
-    Raises `UserError` where the library that JAX writes it by is missing.
+    Raises `UserError`, naming the file that it is for, where the library that JAX writes it by is missing.
     """
     exported = jax.export.export(jax.jit(function), platforms=("cpu", "cuda", "tpu"))(*examples)
     try:
-        content = exported.serialize()
+        return exported.serialize()
     except ImportError as error:
         raise UserError(
             f"stablehlo = {str(path)!r}: JAX needs flatbuffers to write it: pip install flatbuffers"
         ) from error
-    disk.make_folder(path.parent)
-    disk.write_atomically(path, lambda file: file.write(content))
 
 
 def interval_of(env: Any) -> int:

@@ -220,11 +220,22 @@ def pack(folder: Path, out: Path, seed: int) -> None:
     with tempfile.TemporaryDirectory() as beside:
         one = Path(beside)
         configuration.write(one, about)
+        keep_copies(folder, one, about.imports)
         checkpoint.save(one / "policy", {"epoch": header["epoch"], **about.values()}, params)
         for table, rows in (("epochs", epochs), ("evaluations", evaluations)):
             tables.append_rows(one, table, rows)
         disk.make_folder(out.parent)
         disk.write_atomically(out, lambda file: write_zip(file, one))
+
+
+def keep_copies(folder: Path, one: Path, names: Iterable[str]) -> None:
+    """Put the copies that this run keeps of its files of `--import` beside those of this process, whose files may have
+    other names now."""
+    for name in names:
+        copy, own = folder / COPIES / name, one / COPIES / name
+        if copy.is_file() and not own.exists():
+            disk.make_folder(own.parent)
+            own.write_bytes(files.read_bytes(copy))
 
 
 def may_be_replaced(out: Path) -> bool:

@@ -7,6 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from zipfile import ZipFile
 
 import hand_made
 import pytest
@@ -105,6 +106,10 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, m
     assert [json.loads(row)["epoch"] for row in rows] == [1, 1, 2, 2, 3, 3]
     description = json.loads((run / "config.json").read_text())
     assert description["imports"] == {"my_task.py": imports.checksums()["my_task.py"]}
+    forget()
+    Path("moved.py").write_text(TASK)
+    assert main("pack run --out moved.zip --import moved.py".split()) == 0
+    assert ZipFile("moved.zip").read("imports/my_task.py") == TASK.encode()
     forget()
     ran = my_task.parent / "ran"
     for folder in (run, run / "imports"):

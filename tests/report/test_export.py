@@ -243,6 +243,13 @@ def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
     np.testing.assert_allclose(program.call(seen, exported.goals[0], noise), expected, rtol=WITHIN, atol=WITHIN)
 
 
+def test_nothing_is_written_where_stablehlo_cannot_be(shelf, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax._src.export.serialization", None)  # As without flatbuffers.
+    with pytest.raises(UserError, match=r"stablehlo = .*pip install flatbuffers"):
+        export.export_params(*shelf, tmp_path / "policy.npz", {}, tmp_path / "policy.stablehlo")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("content", [{"frames": np.zeros(3)}, b"somebody's own"], ids=["dataset", "text"])
 def test_what_is_no_policy_is_not_written_over(content, tmp_path, capsys):
     file = tmp_path / "mine.npz"
