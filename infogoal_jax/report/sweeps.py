@@ -90,14 +90,14 @@ def sweep(
 
 
 def print_sweep(folder: Path, plan: Plan) -> None:
-    """Print success at the last evaluation of each setting, mean and 95 % interval over seeds; of a single run what is
-    always printed of one."""
+    """Print success at the last evaluation of each setting, mean and 95 % interval over seeds, and its epoch where one
+    was trained for longer than another; of a single run what is always printed of one."""
     if plan.settings == [{}]:
         print_run(folder)
         return
     console, result = Console(), SweepResult(folder, plan)
     names = list(plan.settings[0])
-    rows = []
+    rows, epochs = [], []
     for run, setting in zip(result.folders.values(), plan.settings, strict=True):
         diverged = diverged_seeds(run)
         table = table_of(run, "evaluations", diverged)
@@ -106,9 +106,12 @@ def print_sweep(folder: Path, plan: Plan) -> None:
             for name in SHOWN
         ]
         rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
+        epochs.append(str(table.epochs[-1]) if len(table.epochs) else "")
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
+    if len(set(epochs)) > 1:
+        titles, rows = [*titles, "epoch"], [[*row, epoch] for row, epoch in zip(rows, epochs, strict=True)]
     console.print(number_table(titles, rows), crop=False)
-    if any(cells for row in rows for cells in row[len(names) : -1]):
+    if any(cells for row in rows for cells in row[len(names) : len(names) + len(SHOWN)]):
         seeds = counted(len(plan.seeds), "seed")
         say(console, f"success at the last evaluation, mean and 95 % interval over {seeds}")
     say(console, f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")

@@ -1,0 +1,28 @@
+"""The table of a sweep."""
+
+import pytest
+
+from infogoal_jax.report.sweeps import print_sweep
+from infogoal_jax.runner import training
+from infogoal_jax.runner.jobs import Plan
+from infogoal_jax.runs import tables
+
+
+def rows_until(epoch: int, success: float) -> list[dict]:
+    """A seed that is evaluated every second epoch."""
+    return [{"seed": 0, "epoch": each, "test_goal/success_rate": success} for each in range(2, epoch + 1, 2)]
+
+
+@pytest.mark.parametrize("longest", [4, 6])
+def test_settings_that_were_trained_for_longer_are_told_from_others(longest, tmp_path, capsys):
+    plan = Plan([{"learning_rate": 0.1}, {"learning_rate": 0.2}], [0], 0)
+    for name, epoch, success in zip(plan.names, (4, longest), (0.25, 0.5), strict=True):
+        (tmp_path / name).mkdir()
+        tables.append_rows(tmp_path / name, "evaluations", rows_until(epoch, success))
+        tables.append_rows(tmp_path / name, "epochs", [dict.fromkeys(training.WATCHED, 1.0) | {"seed": 0, "epoch": 1}])
+    print_sweep(tmp_path, plan)
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ("epoch" in printed[0]) == (longest > 4)
+    rows = [line for line in printed if line[:1] in (["0.1"], ["0.2"])]
+    own = (["4"], ["6"]) if longest > 4 else ([], [])
+    assert rows == [["0.1", "0.25", *own[0]], ["0.2", "0.50", *own[1]]]
