@@ -100,7 +100,7 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
         out: File to write; must end in .zip.
         seed: Seed of the run; none: its first.
     """
-    from infogoal_jax.report.runs import diverged_seeds
+    from infogoal_jax.report.runs import diverged_seeds, table_of
     from infogoal_jax.runs import configuration
     from infogoal_jax.runs import folder as folders
 
@@ -108,7 +108,10 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
     chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     folders.pack(folder, Path(out), chosen)
-    tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: {typed_command('evaluate', out)}")
+    # A run of recordings alone has no success, and cannot be evaluated.
+    has_success = any(name.endswith("success_rate") for name in table_of(folder, "evaluations").values)
+    example = typed_command("evaluate" if has_success else "compare", out)
+    tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: {example}")
     return 0
 
 

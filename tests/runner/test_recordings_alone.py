@@ -8,6 +8,7 @@ import pytest
 
 from infogoal_jax import UserError, envs, evaluate, load_run, presets, rollout
 from infogoal_jax.bridges.gymnasium import TaskGymnasium
+from infogoal_jax.cli.main import main
 from infogoal_jax.data.episodes import Episodes, of_arrays
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures, read_subject
@@ -35,6 +36,8 @@ def test_what_nobody_can_act_in_is_not_evaluated(tmp_path, capsys):
     print_summary(found)
     assert "not evaluated: there are recordings alone" in " ".join(capsys.readouterr().out.split())
     assert draw_figures(found.folder) == [] and draw_comparison([found.folder], tmp_path / "loss.png").exists()
+    assert main(["pack", str(found.folder), "--out", str(tmp_path / "run.zip")]) == 0
+    assert f"for example: infogoal compare {tmp_path / 'run.zip'}" in capsys.readouterr().out
     env, policy = found.train.env, found.train.policy(load_run(found.folder).params(), config.hyper, found.train.env)
     asked = [
         lambda: evaluate_run(found.folder, 1, 1, -1.0),
