@@ -170,7 +170,8 @@ def refusals_of_continuous_goals(config: TrainConfig) -> Iterator[Refusal]:
     relabelled = relabelling.registry.name_of(config.relabelling)
     learner, spec = learners.registry.name_of(config.learner), make_learner(config).sample_spec
     finite = {
-        "relabelling": (relabelled, relabelled in ("cher", "ghrl", "all_goals"), "her or none"),
+        "relabelling": (relabelled, relabelled in ("cher", "ghrl"), "her or none"),
+        "agent.all_goals": (True, traits_of(config.agent).all_goals, "False"),
         "relabelling.strategy": (getattr(config.relabelling, "strategy", None), "prefix", "future or soon"),
         "learner": (learner, make_learner(config).by_index, "another learner"),
         "learner.reward": (getattr(config.learner, "reward", None), spec.first_seen, "rarity"),
@@ -182,38 +183,31 @@ def refusals_of_continuous_goals(config: TrainConfig) -> Iterator[Refusal]:
 
 
 def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
-    """What speaks against learning from all goals at once, or against goals that are numbers."""
+    """What speaks against learning from all goals at once, and against goals that are numbers."""
     name, learner = learners.registry.name_of(config.learner), make_learner(config)
-    agent, head = agents.registry.name_of(config.agent), getattr(config.agent, "head", None)
+    head = getattr(config.agent, "head", None)
     if learner.by_index != (head == "index"):
         yield Refusal(
             "learner" if learner.by_index else "agent.head",
             name if learner.by_index else head,
             "values with an output for each goal, and codes that are numbers of goals, go together only",
-            "give --method leo, with agent dqn or cql" if learner.by_index else "give product, or learner index",
+            "give agent dqn or cql" if learner.by_index else "give product, or learner leo",
         )
-    if relabelling.registry.name_of(config.relabelling) != "all_goals":
-        return
     if not traits_of(config.agent).all_goals:
-        yield Refusal(
-            "relabelling",
-            "all_goals",
-            f"agent {agent} values one goal at a time",
-            "give dqn or cql, hrac or td3 with --agent.critic product, or her",
-        )
+        return
     if learner.condition is not None:
         yield Refusal(
             "learner",
             name,
             "its code of a goal depends on the state, so that there is no code for all states at once",
-            "give a code of the goal alone (--learner.no-state-conditioned), or relabelling her",
+            "give a code of the goal alone (--learner.no-state-conditioned), or --agent.no-all-goals",
         )
     if exploration.registry.name_of(config.explorer) != "none":
         yield Refusal(
             "explorer",
             exploration.registry.name_of(config.explorer),
             "its bonus does not reward reaching one goal rather than another",
-            "give none, or relabelling her",
+            "give none, or --agent.no-all-goals",
         )
 
 
@@ -222,8 +216,8 @@ def refusals_of_episodes_that_go_on(config: TrainConfig) -> Iterator[Refusal]:
     reason = f"an episode of {config.task} goes on at its goal, where every step is worth 1"
     if traits_of(config.agent).sigmoid:
         yield Refusal("agent.bounded", True, reason, "give False, or env.ends_at_goal True")
-    if relabelling.registry.name_of(config.relabelling) == "all_goals":
-        yield Refusal("relabelling", "all_goals", reason, "give her, or env.ends_at_goal True")
+    if traits_of(config.agent).all_goals:
+        yield Refusal("agent.all_goals", True, reason, "give False, or env.ends_at_goal True")
 
 
 def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refusal]:

@@ -27,14 +27,13 @@ class Entry(NamedTuple):
     """(config) -> what decides which other parts it can be combined with, known before anything is made: `Traits` of a
     task, `AgentTraits` of an agent. None: not declared."""
     of_agent: Mapping[str, Any] = MappingProxyType({})
-    """What a learner or a relabelling changes in the configuration of an agent that has such fields."""
+    """What a learner changes in the configuration of an agent that has such fields."""
     of_relabelling: Mapping[str, Any] = MappingProxyType({})
     """What an agent changes in the configuration of a relabelling that has such fields."""
     relabelling: str = ""
     """The relabelling of an agent that needs it, where no other is asked for; empty: the method's or the task's."""
-    method: str = ""
-    """The method that a learner or a relabelling belongs to whose name is none; empty: it is a method by its own
-    name."""
+    is_method: bool = True
+    """Whether a relabelling is a method by its own name."""
 
 
 class Registry(CheckedDict):
@@ -78,9 +77,10 @@ class Registry(CheckedDict):
         for name, fields in (("of_agent", entry.of_agent), ("of_relabelling", entry.of_relabelling)):
             if not isinstance(fields, Mapping):
                 raise UserError(f"{field}.{name} = {shown(fields)}: give fields by name")
-        for name, kind in (("method", "a method"), ("relabelling", "a relabelling")):
-            if not isinstance(getattr(entry, name), str):
-                raise UserError(f"{field}.{name} = {shown(getattr(entry, name))}: give the name of {kind}")
+        if not isinstance(entry.relabelling, str):
+            raise UserError(f"{field}.relabelling = {shown(entry.relabelling)}: give the name of a relabelling")
+        if not isinstance(entry.is_method, bool):
+            raise UserError(f"{field}.is_method = {shown(entry.is_method)}: give True or False")
 
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""

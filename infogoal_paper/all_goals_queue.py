@@ -43,13 +43,13 @@ CUBE_HEAD = {
     "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
 }
 ACHIEVED, NINE_TENTHS, MIXED = (
-    {"relabelling.achieved_share": share, "relabelling.desired_share": 0.0} for share in (1.0, 0.9, 0.5)
+    {"agent.achieved_share": share, "agent.desired_share": 0.0} for share in (1.0, 0.9, 0.5)
 )
 """How many of an update's 512 goals on the cube the batch achieves. Half was the preset's share at first, then all."""
-DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
-SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
+DESIRED = {"agent.achieved_share": 0.9, "agent.desired_share": 0.1}
+SAMPLED, MEAN = {"agent.code": "sampled"}, {"agent.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
-FEW_GOALS = SAMPLED | {"relabelling.num_goals": 32}
+FEW_GOALS = SAMPLED | {"agent.num_goals": 32}
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -156,7 +156,7 @@ QUEUE = {
             ("infogoal_head", "desired", DESIRED | SAMPLED, weighted(*FINE, 0.1, 0.01, 0.001), 2),
             ("infobot_head", "desired", DESIRED | SAMPLED, weighted("", {}, 0.01, 0.001), 2),
             ("leo", "achieved", ACHIEVED, PRESET, 3),
-            ("leo", "every_goal", {"relabelling.num_goals": 0}, PRESET, 3),
+            ("leo", "every_goal", {"agent.num_goals": 0}, PRESET, 3),
             ("her", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),
             ("head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, PRESET, 3),
             ("infogoal_head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, weighted("", {}, 1e-2, 1e-3), 3),

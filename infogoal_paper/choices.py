@@ -59,13 +59,13 @@ def values() -> Iterator[Value]:
     """Every value of the presets of Table I's tasks."""
     for task in TASKS:
         preset = presets.registry[task]
-        for name in ("env", "learner", "state_encoder", "training", "hyper"):
+        for name in ("env", "learner", "state_encoder", "all_goals", "training", "hyper"):
             yield from (Value(task, "-", f"{name}.{field}", value) for field, value in getattr(preset, name).items())
         for name in ("agents", "relabellings"):
             for part, fields in getattr(preset, name).items():
                 yield from (Value(task, "-", f"{name}.{part}.{field}", value) for field, value in fields.items())
         for method, changes in preset.methods.items():
-            for name in ("learner", "relabelling", "training", "hyper"):
+            for name in ("learner", "all_goals", "training", "hyper"):
                 own = getattr(changes, name).items()
                 yield from (Value(task, method, f"{name}.{field}", value) for field, value in own)
 
@@ -137,7 +137,7 @@ CHOICES = (
         "InfoGoal's and DQN's floats, by hand",
         ("object_search",),
         ("-", "infogoal*"),
-        ("hyper.*", "relabelling.*", "training.*"),
+        ("hyper.*", "all_goals.*", "training.*"),
         TEST,
         "houses 100 and 101, which have the names of the test goals",
         SOME,
@@ -168,7 +168,7 @@ CHOICES = (
         "sizes, budgets and agents, the same for all",
         TASKS,
         ("-",),
-        ("env.*", "learner.*", "state_encoder.*", "training.*", "agents.*", "relabellings.*"),
+        ("env.*", "learner.*", "state_encoder.*", "training.*", "agents.*", "relabellings.*", "all_goals.*"),
         TRAINING,
         "data of the tuning",
         ALL,

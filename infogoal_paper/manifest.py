@@ -84,7 +84,8 @@ class Run:
     """A method on a goal set of a task, with its seeds.
 
     task, method: names.
-    relabelling, explorer: other parts than the method's, or None.
+    relabelling, explorer: other parts than the method's, or None; `all_goals`, which was a relabelling, stands for an
+      agent that learns from all goals at once.
     goal_set: number of the goal set.
     setting: a setting of floats.
     seeds: their numbers.
@@ -138,8 +139,8 @@ class Run:
 @functools.cache
 def preset_of(task: str, method: str, relabelling: Any, explorer: Any, agent: Any, known_goals: str) -> TrainConfig:
     """`Run.preset`, which tables and claims ask for thousands of times; a process has one set of presets."""
-    parts = {"relabelling": relabelling, "explorer": explorer, "agent": agent}
-    return presets.load(task, method, **parts, known_goals=known_goals)
+    named = f"{method}+{relabelling}" if relabelling else method
+    return presets.load(task, named, explorer=explorer, agent=agent, known_goals=known_goals)
 
 
 class Choice(NamedTuple):

@@ -211,7 +211,7 @@ def settings_of(task: str, method: str) -> dict[str, Any]:
     if task == FIRST_TRIALS:
         settings = {"num_epochs": presets.load("object_search", method, small=True).num_epochs}
     if task == HELD_OUT_HRAC and "all_goals" in method:
-        settings = {"relabelling.num_goals": GOALS_OF_HRAC}
+        settings = {"agent.num_goals": GOALS_OF_HRAC}
     if method.endswith("@clean"):
         settings = {"num_epochs": presets.load(task.partition("+")[0], "none").num_epochs}
     if settings.get("learner.positives"):

@@ -131,9 +131,7 @@ def configuration(trial: Trial, folder: Path) -> TrainConfig:
 
 def preset_of(trial: Trial) -> TrainConfig:
     """The preset of a trial with its changes."""
-    method, _, relabelling = trial.method.partition("+")
-    config = presets.load(trial.task, method, relabelling=relabelling or None, agent=trial.agent)
-    return with_values(config, trial.changes)
+    return with_values(presets.load(trial.task, trial.method, agent=trial.agent), trial.changes)
 
 
 def asked_by_name(env):

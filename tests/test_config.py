@@ -175,8 +175,8 @@ def without_training_goals():
             "learner = 'my_vae': Entry.of_relabelling = 3: give fields by name",
         ),
         (
-            lambda: register("my_vae", Entry(OtherVAEConfig, print, method=3)),
-            "learner = 'my_vae': Entry.method = 3: give the name of a method",
+            lambda: register("my_vae", Entry(OtherVAEConfig, print, is_method=3)),
+            "learner = 'my_vae': Entry.is_method = 3: give True or False",
         ),
         (lambda: load_with(methods={"infogaol": Changes()}), r"preset of object_search = 'infogaol'.*'infogoal'"),
         (lambda: load_with(training={"num_epoch": 20}), r"preset of object_search = 'num_epoch'.*'num_epochs'"),
@@ -277,7 +277,7 @@ def test_what_a_search_without_a_final_found_is_better_by_a_tenth():
 
 
 @pytest.mark.parametrize(
-    "name", [name for name, entry in relabelling.registry.items() if name != "none" and not entry.method]
+    "name", [name for name, entry in relabelling.registry.items() if name != "none" and entry.is_method]
 )
 def test_a_relabelling_alone_is_the_method_of_its_name(name):
     by_parts = presets.load("fetch_reach", "none", relabelling=name)
@@ -293,24 +293,24 @@ def test_a_combination_without_a_name_takes_what_its_learner_has():
     assert dataclasses.replace(combined, relabelling=alone.relabelling) == alone
 
 
-def test_a_method_may_change_its_relabelling():
-    sampled, mean = (presets.load("object_search", name, relabelling="all_goals") for name in ("none", "infogoal"))
-    assert (sampled.relabelling.code, mean.relabelling.code) == ("sampled", "mean")
+def test_a_method_may_change_how_its_agent_learns_from_all_goals():
+    sampled, mean = (presets.load("object_search", f"{name}+all_goals") for name in ("none", "infogoal"))
+    assert (sampled.agent.code, mean.agent.code) == ("sampled", "mean")
     assert mean.learner == presets.load("object_search", "infogoal").learner
 
 
 def test_a_part_says_itself_what_it_changes_in_an_agent(monkeypatch):
-    """Fields that an agent lacks are passed over; a learner's word is heard after a relabelling's."""
+    """Fields that an agent lacks are passed over; a learner's word is heard after that of all goals at once."""
 
     @dataclasses.dataclass(frozen=True)
-    class OwnConfig(relabelling.her.HERConfig):
-        """HER, with another agent."""
+    class OwnConfig(learners.none.NoneConfig):
+        """No learner, with another agent."""
 
-    entry = Entry(OwnConfig, relabelling.her.make, of_agent={"num_steps": 7, "head": "product", "wings": 2})
-    monkeypatch.setitem(relabelling.registry, "own", entry)
-    config = presets.load("object_search", "her", relabelling="own", agent="dqn")
-    assert (config.agent.num_steps, config.agent.head) == (7, "product")
-    assert presets.load("object_search", relabelling="own", learner="index", agent="dqn").agent.head == "index"
+    entry = Entry(OwnConfig, learners.none.make, of_agent={"num_steps": 7, "head": "concatenated", "wings": 2})
+    monkeypatch.setitem(learners.registry, "own", entry)
+    for name, bounded in (("own", False), ("own+all_goals", True)):
+        agent = presets.load("object_search", name).agent
+        assert (agent.num_steps, agent.head, agent.bounded) == (7, "concatenated", bounded)
 
 
 @pytest.mark.parametrize("method", ["infogoal", "her", "none"])
@@ -366,7 +366,7 @@ def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value)
         (dict(relabellings={"her": {"nope": 1}}), r"in relabellings\['her'\]"),
         (dict(methods={"nope": Changes()}), "in methods"),
         (dict(methods={"infogoal": Changes(learner={"nope": 1})}), r"in methods\['infogoal'\]"),
-        (dict(methods={"her": Changes(relabelling={"nope": 1})}), r"in methods\['her'\]"),
+        (dict(methods={"her": Changes(all_goals={"nope": 1})}), r"in methods\['her'\]"),
         (dict(small=presets.Preset(**GOOD | {"training": {"nope": 3}})), "'nope': no such method, part or field in it"),
     ],
 )

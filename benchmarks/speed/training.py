@@ -64,8 +64,8 @@ ROWS = {
     "her": ("her", {}),
     "leo": ("leo", {}),
     "head": ("all_goals", {}),
-    "leo, subset": ("leo", {"relabelling.num_goals": 256}),
-    "head, subset": ("all_goals", {"relabelling.num_goals": 256}),
+    "leo, subset": ("leo", {"agent.num_goals": 256}),
+    "head, subset": ("all_goals", {"agent.num_goals": 256}),
     "every goal": ("all_goals", {"agent.head": "concatenated"}),
 }
 

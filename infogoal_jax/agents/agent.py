@@ -11,6 +11,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.errors import require
 from infogoal_jax.replay import Trajectories
 
@@ -22,7 +23,7 @@ class AgentTraits(NamedTuple):
     """What the agent chooses: one of a few moves; a vector in [-1, 1] that is the environment's action; or a target
     state, which a frozen low level reaches."""
     all_goals: bool = False
-    """Whether its loss learns from all goals at once, `AgentBatch.all_goals`."""
+    """Whether its loss learns from all goals at once, `Agent.all_goals`."""
     achieved_goals: bool = False
     """Whether it learns from goals that were achieved later alone: each transition has to carry one, and what others
     carry counts as not achieved."""
@@ -110,7 +111,7 @@ class AgentBatch:
     largest_value: jax.Array | None = None
     """float32 [], what being at the goal for ever is worth, where an episode goes on at its goal; 1 otherwise."""
     all_goals: AllGoals | None = None
-    """The same transitions under all goals, where the relabelling asks for it (`relabelling/all_goals.py`)."""
+    """The same transitions under all goals, where the agent learns from them, `Agent.all_goals`."""
     first_target_features: jax.Array | None = None
     """float32 [B, F] of the first state, by the target encoder, for an agent that learns from costs; None without."""
     first_target_code: jax.Array | None = None
@@ -154,6 +155,8 @@ class Agent(NamedTuple):
     """(state, rows: Trajectories) -> state. Called with each epoch's new rows."""
     num_steps: int
     """Largest number of environment steps of a sampled transition."""
+    all_goals: OfAllGoals | None = None
+    """Which goals it learns each transition from at once, `AgentBatch.all_goals`; None: from one."""
 
 
 class OfSteps:

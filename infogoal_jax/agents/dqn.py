@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, OfSteps
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.field_types import Size, Sizes
 
 
 @dataclasses.dataclass(frozen=True)
-class DQNConfig(OfSteps):
+class DQNConfig(OfAllGoals, OfSteps):
     """Sizes and switches of DQN."""
 
     hidden: Sizes = (256, 256)
@@ -32,10 +33,15 @@ class DQNConfig(OfSteps):
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
 
+    def check(self, config) -> None:
+        """Raise `UserError` for returns of no step or too many, and for shares of goals that are more than all."""
+        super().check(config)
+        self.check_all_goals()
+
 
 def traits(config: DQNConfig) -> AgentTraits:
-    """It chooses among moves, and can learn from all goals at once."""
-    return AgentTraits("moves", all_goals=True, sigmoid=config.bounded)
+    """It chooses among moves."""
+    return AgentTraits("moves", all_goals=config.all_goals, sigmoid=config.bounded)
 
 
 def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
@@ -110,4 +116,4 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
         extra, own_metrics = regulariser(every, batch, hyper)
         return error + extra, metrics | own_metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)
+    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps, config.goals_at_once())

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks, pairs
 from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Size, Sizes, Within
 from infogoal_jax.hyperparameters import Number, Search
@@ -28,7 +29,7 @@ MOST_CELLS = 8192
 
 
 @dataclasses.dataclass(frozen=True)
-class HRACConfig:
+class HRACConfig(OfAllGoals):
     """Sizes and switches of HRAC's high level."""
 
     interval: int = 5
@@ -60,7 +61,10 @@ class HRACConfig:
     """File or run of a low level, of `infogoal pretrain`; empty: the one that the project ships."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for an interval that is longer than an episode."""
+        """Raise `UserError` for an interval that is longer than an episode, for shares of goals that are more than all,
+        and for critics that value one goal at a time."""
+        self.check_all_goals()
+        td3.check_critic(self)
         require(
             0 < self.interval <= config.env.episode_length,
             "agent.interval",
@@ -96,9 +100,9 @@ def length(vectors: jax.Array) -> jax.Array:
 
 
 def traits(config: HRACConfig) -> AgentTraits:
-    """Its actions are target states; product critics learn from all goals at once."""
-    product = config.critic == "product"
-    return AgentTraits("target_states", all_goals=product, sigmoid=product and config.bounded)
+    """Its actions are target states."""
+    sigmoid = config.critic == "product" and config.bounded
+    return AgentTraits("target_states", all_goals=config.all_goals, sigmoid=sigmoid)
 
 
 def make(config: HRACConfig, env) -> Agent:
@@ -178,4 +182,5 @@ def make(config: HRACConfig, env) -> Agent:
         }
         return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
-    return Agent(init, act, value, loss, observe, config.interval * config.num_decisions)
+    num_steps = config.interval * config.num_decisions
+    return Agent(init, act, value, loss, observe, num_steps, config.goals_at_once())

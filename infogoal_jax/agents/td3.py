@@ -8,7 +8,7 @@ Shapes: B transitions, F features of a state, d numbers of a goal code, A number
 """
 
 import dataclasses
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import flax.linen as nn
 import flax.struct
@@ -18,12 +18,14 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, OfSteps, in_bounds
+from infogoal_jax.agents.all_goals import OfAllGoals
+from infogoal_jax.errors import require
 from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 
 @dataclasses.dataclass(frozen=True)
-class TD3Config(OfSteps):
+class TD3Config(OfAllGoals, OfSteps):
     """Sizes and switches of TD3."""
 
     hidden: Sizes = (256, 256)
@@ -44,6 +46,20 @@ class TD3Config(OfSteps):
     at the goal."""
     behaviour: bool = False
     """Keep the actor near the actions of the data, for recorded episodes (TD3+BC, Fujimoto & Gu 2021)."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for returns of no step or too many, for shares of goals that are more than all, and for
+        critics that value one goal at a time."""
+        super().check(config)
+        self.check_all_goals()
+        check_critic(self)
+
+
+def check_critic(config: Any) -> None:
+    """Raise `UserError` for a configuration of TD3 or HRAC that learns from all goals at once by critics that value one
+    goal at a time."""
+    fits = config.critic == "product" or not config.all_goals
+    require(fits, "agent.critic", config.critic, "values one goal at a time, and agent.all_goals all; give product")
 
 
 @flax.struct.dataclass
@@ -310,9 +326,8 @@ def loss_of_all(
 
 
 def traits(config: TD3Config) -> AgentTraits:
-    """Its actions are vectors; product critics learn from all goals at once."""
-    product = config.critic == "product"
-    return AgentTraits("vectors", all_goals=product, sigmoid=product and config.bounded)
+    """Its actions are vectors."""
+    return AgentTraits("vectors", all_goals=config.all_goals, sigmoid=config.critic == "product" and config.bounded)
 
 
 def make(config: TD3Config, env) -> Agent:
@@ -342,4 +357,4 @@ def make(config: TD3Config, env) -> Agent:
         metrics = learned.metrics | {"action_size": jnp.abs(learned.actions).mean()}
         return learned.critic + learned.actor + hyper.action_cost * cost, metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)
+    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps, config.goals_at_once())

@@ -172,14 +172,15 @@ def check_same_parts(config: "TrainConfig", task: str, choice: Parts) -> None:
 
 
 def is_of_method(config: "TrainConfig", method: str) -> bool:
-    """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been
-    added to it."""
+    """Whether a configuration is made of the parts that this method names; a relabelling, an explorer or all goals at
+    once may have been added to it."""
     from infogoal_jax import presets
 
     asked = presets.method_named(method)
     names = presets.names_of(config)
     parts = ((asked.learner, names["learner"]), (asked.relabelling, names["relabelling"]))
-    return all(name in (None, own) for name, own in parts) and asked.explorer in ("none", names["explorer"])
+    learns = presets.learns_all_goals(config) or not asked.all_goals
+    return learns and all(name in (None, own) for name, own in parts) and asked.explorer in ("none", names["explorer"])
 
 
 def parts_of(config: "TrainConfig") -> Parts:
@@ -194,8 +195,7 @@ def known_names() -> dict[str, list[str]]:
     from infogoal_jax import presets
 
     names = {kind: list(registry) for kind, registry in presets.REGISTRIES.items()}
-    alone = [name for name, entry in presets.REGISTRIES["learner"].items() if not entry.method]
-    return {"method": list(dict.fromkeys([*presets.METHODS, *alone])), **names}
+    return {"method": list(dict.fromkeys([*presets.METHODS, *names["learner"]])), **names}
 
 
 def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice) -> TaskCommands:

@@ -1,6 +1,6 @@
 """Goal-representation learners, one file each. A new one is registered in `registry`."""
 
-from infogoal_jax.learners import cogoal, dgrl, gcb, index, infobot, infogoal, none, rad, vae
+from infogoal_jax.learners import cogoal, dgrl, gcb, infobot, infogoal, leo, none, rad, vae
 from infogoal_jax.registry import Entry, Registry
 
 registry = Registry(
@@ -14,6 +14,6 @@ registry = Registry(
         "vae": Entry(vae.VAEConfig, vae.make),
         "dgrl": Entry(dgrl.DGRLConfig, dgrl.make),
         "none": Entry(none.NoneConfig, none.make),
-        "index": Entry(index.IndexConfig, index.make, of_agent={"head": "index"}, method="leo"),
+        "leo": Entry(leo.LEOConfig, leo.make, of_agent={"head": "index", "all_goals": True}),
     },
 )

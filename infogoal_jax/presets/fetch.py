@@ -34,8 +34,8 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         agent="hrac",  # [P]
         env={"goals": "images"},
         learner={"standardise_images": True},  # For corrupted goals (docs/reference/fetch.md).
-        # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
-        relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
+        relabellings={"ghrl": {"share": 0.8}},
+        all_goals={"num_goals": 32},  # Each takes an action of its own, and with it a pass of actor and critics.
         state_encoder={"features": 128},
         training=training,
         hyper=HYPER,

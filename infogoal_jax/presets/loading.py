@@ -1,7 +1,8 @@
 """Methods, and the configuration of a task and a method: what the presets say, put together with the parts' own
 defaults. And the way back: the flags of the command line that give a configuration.
 
-A method is a row of the paper's Table I: a combination of a learner, a relabelling and an explorer under one name.
+A method is a row of the paper's Table I: a combination of a learner, a relabelling and an explorer under one name; or
+one whose agent learns from all goals at once.
 """
 
 import dataclasses
@@ -10,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
+from infogoal_jax.agents import all_goals
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.envs import named
 from infogoal_jax.errors import UserError, nearest, require, require_known, shown
@@ -29,36 +31,38 @@ REGISTRIES = {
 
 
 class Method(NamedTuple):
-    """The names of a learner, a relabelling (None: the task's own) and an explorer."""
+    """The names of a learner, a relabelling (None: the task's own) and an explorer; and whether the agent learns from
+    all goals at once."""
 
     learner: str
     relabelling: str | None = None
     explorer: str = "none"
+    all_goals: bool = False
 
 
+ALL_GOALS = "all_goals"
+"""The method, and behind another one's name and a plus what is added to it: the agent learns from all goals at once."""
 METHODS = (
-    {name: Method(name) for name, entry in learners.registry.items() if not entry.method}
-    | {
-        name: Method("none", name)
-        for name, entry in relabelling.registry.items()
-        if name != "none" and not entry.method
-    }
+    {name: Method(name) for name in learners.registry}
+    | {name: Method("none", name) for name, entry in relabelling.registry.items() if name != "none" and entry.is_method}
     | {name: Method("none", None, name) for name in exploration.registry if name != "none"}
-    | {"leo": Method("index", "all_goals")}
+    | {ALL_GOALS: Method("none", all_goals=True)}
 )
 """What can be asked for by one name. Learners, relabellings and explorers can be combined by their own names too."""
 
 
 def method_named(name: str) -> Method:
-    """The method of this name, or a `UserError` with the nearest one."""
+    """The method of this name, such as `infogoal`, `infogoal+her` or `infogoal+all_goals`, or a `UserError` with the
+    nearest one."""
     require(isinstance(name, str), "method", name, f"give the name of a method. Known: {', '.join(METHODS)}")
-    if name in learners.registry:
-        whole = learners.registry[name].method
-        remedy = f"is a learner alone; give {whole}, or --learner {name} with another relabelling"
-        require(not whole, "method", name, remedy)
-        return Method(name)  # One that was registered after this module was imported, too.
-    require_known("method", name, METHODS, "no such method")
-    return METHODS[name]
+    first, *added = name.split("+")
+    known = METHODS | {learner: Method(learner) for learner in learners.registry}  # One may be registered later.
+    require_known("method", first, known, "no such method")
+    method = known[first]
+    for word in added:
+        require_known("method", word, (ALL_GOALS, *relabelling.registry), "nothing that can be added to a method")
+        method = method._replace(**({"all_goals": True} if word == ALL_GOALS else {"relabelling": word}))
+    return method
 
 
 def preset_of(task: str) -> Preset:
@@ -122,16 +126,15 @@ def names_in(preset: Preset, task: str) -> Iterator[tuple[str, Iterable[str], li
             yield f"in {kind}s[{name!r}]", fields, own[kind].get(name, [])
     for name, changes in {"": preset, **preset.methods}.items():
         place = f"in methods[{name!r}]" if name else "in it"
+        yield place, changes.all_goals, fields_in(all_goals.OfAllGoals)
         yield place, changes.training, fields_in(TrainConfig)
         yield place, changes.hyper, floats
         if name:
             first, plus, second = name.partition("+")
             yield "in methods", [first], methods
-            yield "in methods", [second] if plus else [], [*relabelling.registry]
+            yield "in methods", [second] if plus else [], [*relabelling.registry, ALL_GOALS]
             named = METHODS.get(first, Method(first))
             yield place, changes.learner, own["learner"].get(named.learner, [])
-            relabelled = second or named.relabelling or preset.relabelling
-            yield place, changes.relabelling, own["relabelling"].get(relabelled, [])
 
 
 @functools.cache
@@ -158,6 +161,8 @@ def load(
 ) -> TrainConfig:
     """The configuration for a task and a method. Raises `UserError` for an unknown name.
 
+    method: its name, `infogoal`; with another relabelling `infogoal+her`; with an agent that learns from all goals at
+        once `infogoal+all_goals`.
     learner, agent, relabelling, explorer: another part than the method's and the task's own, by its name or as its
     configuration.
     small: the task's preset for first trials.
@@ -174,22 +179,33 @@ def load(
         "relabelling": relabelling,
         "explorer": named.explorer if explorer is None else explorer,
     }
+    learns_all = named.all_goals or means_all_goals(name_in("learner", asked["learner"]))
     if relabelling is None:
-        asked["relabelling"] = named.relabelling or own_relabelling(task, name_in("agent", asked["agent"]))
+        agent_name = name_in("agent", asked["agent"])
+        asked["relabelling"] = named.relabelling or own_relabelling(task, agent_name, learns_all)
+    require(
+        relabelling != ALL_GOALS,
+        "relabelling",
+        ALL_GOALS,
+        f"is a way in which the agent values goals: give --method {method}+{ALL_GOALS}",
+    )
     names = {kind: name_in(kind, value) for kind, value in asked.items()}
-    changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
-    of_agent = {}
-    for kind in ("relabelling", "learner"):
-        of_agent |= REGISTRIES[kind].entry(names[kind]).of_agent
+    changed = preset.changes_of(method_of(task, names, named.all_goals))
+    of_learner, of_agent = preset.changes_of(names["learner"]).learner, {}
+    if learns_all:
+        check_learns_all_goals(names["agent"])
+        of_agent = all_goals.CHANGES | preset.all_goals | changed.all_goals
+    of_agent |= REGISTRIES["learner"].entry(names["learner"]).of_agent
     fields = {
         "learner": fields_of("learner", names, preset.learner) | of_learner,
         "agent": preset.agents.get(names["agent"], {}) | fields_of("agent", names, of_agent),
         "relabelling": preset.relabellings.get(names["relabelling"], {})
-        | changed.relabelling
         | fields_of("relabelling", names, REGISTRIES["agent"].entry(names["agent"]).of_relabelling),
         "explorer": {},
     }
     parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}
+    remedy = f"method {method} learns from all goals at once: give True, or the agent by its name"
+    require(not named.all_goals or parts["agent"].all_goals, "agent.all_goals", False, remedy)
     hyper = default_hyperparameters(parts["learner"], parts["agent"])
     floats = {name: value for name, value in (preset.hyper | changed.hyper).items() if belongs(name, hyper)}
     env = envs.registry.entry(task).config(**preset.env)
@@ -226,10 +242,24 @@ def take_library(task: str) -> None:
         registry[task] = of_library(task)
 
 
-def own_relabelling(task: str, agent: str) -> str:
-    """The relabelling that an agent has on a task where no other is asked for: its own, or the task's."""
+def own_relabelling(task: str, agent: str, learns_all: bool) -> str:
+    """The relabelling that an agent has on a task where no other is asked for: its own, that of learning from all goals
+    at once, or the task's."""
     own = registry[task].relabelling if task in registry else "none"
-    return REGISTRIES["agent"].entry(agent).relabelling or own
+    return REGISTRIES["agent"].entry(agent).relabelling or (all_goals.RELABELLING if learns_all else own)
+
+
+def means_all_goals(learner: str) -> bool:
+    """Whether the agent learns from all goals at once over this learner without being asked to."""
+    return REGISTRIES["learner"].entry(learner).of_agent.get("all_goals", False)
+
+
+def check_learns_all_goals(agent: str) -> None:
+    """Raise `UserError` for an agent that cannot learn from all goals at once."""
+    known = agents.registry.items()
+    fitting = ", ".join(name for name, entry in known if issubclass(entry.config, all_goals.OfAllGoals))
+    remedy = f"values one goal at a time: give one of {fitting}, or another method"
+    require(issubclass(agents.registry.entry(agent).config, all_goals.OfAllGoals), "agent", agent, remedy)
 
 
 def whereabouts(name: str, fields: dict[str, Any]) -> str:
@@ -263,14 +293,16 @@ def belongs(name: str, hyper: Hyperparameters) -> bool:
     return not field or hasattr(getattr(hyper, kind), field)
 
 
-def method_of(task: str, names: dict[str, str]) -> str:
+def method_of(task: str, names: dict[str, str], asks_all: bool) -> str:
     """The name of the method that parts of these names make on a task; of a combination without one, `infobot+her`
-    where the preset has changes for it, else that of its learner."""
-    preset, combined = preset_of(task), f"{names['learner']}+{names['relabelling']}"
+    where the preset has changes for it, else that of its learner. asks_all: whether the agent is asked to learn from
+    all goals at once."""
+    preset, combined = preset_of(task), f"{names['learner']}+{ALL_GOALS if asks_all else names['relabelling']}"
     if combined in preset.methods:
         return combined
-    own = names["relabelling"] == own_relabelling(task, names["agent"])
-    parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"])
+    learns_all = asks_all or means_all_goals(names["learner"])
+    own = names["relabelling"] == own_relabelling(task, names["agent"], learns_all)
+    parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"], asks_all)
     return next((name for name, known in METHODS.items() if known == parts), names["learner"])
 
 
@@ -283,20 +315,27 @@ def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
     require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as load makes")
     names = names_of(config)
-    own = own_relabelling(config.task, names["agent"])
-    whole = learners.registry[names["learner"]].method
-    if whole and Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS.get(whole):
-        return whole
-    name = names["relabelling"]
+    name, own = names["relabelling"], own_relabelling(config.task, names["agent"], learns_all_goals(config))
     relabelled = "none" if name == own else "unrelabelled" if name == "none" else name
-    return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"
+    parts = names["learner"], ALL_GOALS if asks_all_goals(config) else "none", relabelled, names["explorer"]
+    return "+".join(name for name in parts if name != "none") or "none"
+
+
+def learns_all_goals(config: TrainConfig) -> bool:
+    """Whether the agent of a configuration learns from all goals at once."""
+    return getattr(config.agent, "all_goals", False)
+
+
+def asks_all_goals(config: TrainConfig) -> bool:
+    """Whether it does so though its learner does not mean it."""
+    return learns_all_goals(config) and not means_all_goals(names_of(config)["learner"])
 
 
 def method_title(config: TrainConfig) -> str:
     """The method for people: `none with her`. A relabelling that every method has on the task is no part of a method's
     name, and is said here."""
     name, names = name_of(config), names_of(config)
-    own = own_relabelling(config.task, names["agent"])
+    own = own_relabelling(config.task, names["agent"], learns_all=False)
     said = f" with {own}" if own == names["relabelling"] != "none" and own != name else ""
     return f"{name}{said}"
 
@@ -336,8 +375,7 @@ def changed_flags(config: Any, default: Any, prefix: str = "") -> list[str]:
 def train_flags(config: TrainConfig) -> list[str]:
     """What follows `infogoal train TASK` for this configuration: the inverse of `load`."""
     names, name = names_of(config), name_of(config)
-    alone = learners.registry[names["learner"]].method or names["learner"]
-    method = name if name in METHODS else alone
+    method = name if name in METHODS else names["learner"] + f"+{ALL_GOALS}" * asks_all_goals(config)
     default, flags = names_of(load(config.task, method)), ["--method", method]
     for kind, own in names.items():
         flags += [f"--{kind}", own] if own != default[kind] else []

@@ -21,7 +21,7 @@ PRESET = Preset(
         "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6, "layer_norm": True},
         "dqn": {"layer_norm": True},
     },
-    relabellings={"all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1}},  # [M]
+    all_goals={"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1},  # [M]
     state_encoder={"features": 256},
     training={
         "num_envs": 128,

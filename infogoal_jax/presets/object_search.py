@@ -15,7 +15,7 @@ FULL = Preset(
         "infogoal": Changes(hyper={"learning_rate": 5e-4, "intrinsic_weight": 3.0}, training={"num_epochs": 100}),
         "infobot": Changes(hyper=INFOBOT),
         "infogoal+all_goals": Changes(  # [M], docs/research/all_goals.md
-            relabelling=MEAN, hyper={"learning_rate": 5e-4, "learner_weight": 0.01}, training={"num_epochs": 100}
+            all_goals=MEAN, hyper={"learning_rate": 5e-4, "learner_weight": 0.01}, training={"num_epochs": 100}
         ),
         "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.01}),  # [M]
         # [T]

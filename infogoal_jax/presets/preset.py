@@ -12,13 +12,14 @@ from typing import Any
 class Changes:
     """What a method changes in the preset of a task.
 
-    learner, relabelling: fields of its configuration, and of its relabelling's.
+    learner: fields of its configuration.
+    all_goals: fields of an agent that learns from all goals at once.
     hyper: float hyperparameters by dotted name, "learner.beta".
     training: fields of `TrainConfig`.
     """
 
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
-    relabelling: dict[str, Any] = dataclasses.field(default_factory=dict)
+    all_goals: dict[str, Any] = dataclasses.field(default_factory=dict)
     hyper: dict[str, float] = dataclasses.field(default_factory=dict)
     training: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -32,8 +33,10 @@ class Preset:
     learner: fields of every learner that has them.
     state_encoder: fields of the state encoder.
     agents, relabellings: fields of an agent and of a relabelling by their names.
+    all_goals: fields of an agent that learns from all goals at once (`agents/all_goals.py`).
     hyper, training: as in `Changes`, for every method.
-    methods: what each method changes, or learner, or learner with a relabelling (`infobot+all_goals`).
+    methods: what each method changes, or learner, or learner with a relabelling (`infobot+her`) or with an agent that
+      learns from all goals at once (`infobot+all_goals`).
     description: the task in a line, for the help of the command line.
     small: the preset of first trials; None: the task has none.
     """
@@ -49,6 +52,7 @@ class Preset:
     state_encoder: dict[str, int] = dataclasses.field(default_factory=dict)
     agents: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     relabellings: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    all_goals: dict[str, Any] = dataclasses.field(default_factory=dict)
     small: "Preset | None" = None
 
     def changes_of(self, method: str) -> Changes:

@@ -62,19 +62,6 @@ class Context(NamedTuple):
     """int32 [], updates before this epoch."""
 
 
-class AllGoalsSpec(NamedTuple):
-    """Which goals each transition is learned from at once."""
-
-    num_goals: int
-    """Goals drawn for an update; 0: all known ones."""
-    achieved_share: float
-    """Share of those drawn that the transitions of the batch achieve."""
-    desired_share: float
-    """Share of those drawn that were desired in the episodes of the batch; the rest is any known goal."""
-    mean_code: bool
-    """The agent learns from the means of codes and acts on them, in place of samples."""
-
-
 @flax.struct.dataclass
 class Waypoints:
     """Which states episodes reach some steps after transitions."""
@@ -102,8 +89,6 @@ class Relabelling(NamedTuple):
     """Transitions drawn for each that is learned from."""
     skip_reached: bool = False
     """Whether transitions keep their goals where the other one is reached before them."""
-    all_goals: AllGoalsSpec | None = None
-    """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
     costs: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], tuple[jax.Array, Waypoints | None]] | None = None
     """As `relabel`: the goals that the actor learns for, and states on the way to them or None. With it, rewards are
     -1 for each step from a state that does not achieve the goal, after which nothing follows, in place of 1 for the

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from infogoal_jax import agents, exploration, learners, presets, relabelling
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import Refusal, reasons_against, remarks
 from infogoal_jax.runner.progress import say
@@ -21,6 +22,7 @@ def parts_in_words(name: str) -> str:
     parts = [f"learner {method.learner}"]
     parts += [f"relabelling {method.relabelling}"] if method.relabelling else []
     parts += [f"explorer {method.explorer}"] if method.explorer != "none" else []
+    parts += ["agent of all goals"] if method.all_goals else []
     return ", ".join(parts)
 
 
@@ -28,12 +30,14 @@ def description(name: str) -> str:
     """What a method is: the first paragraph of the docstring of its file, in one line."""
     method = presets.METHODS[name]
     if method.explorer != "none":
-        entry = exploration.registry.entry(method.explorer)
-    elif method.relabelling and method.learner == "none":
-        entry = relabelling.registry.entry(method.relabelling)
+        described = exploration.registry.entry(method.explorer).config
+    elif method.relabelling:
+        described = relabelling.registry.entry(method.relabelling).config
+    elif method.all_goals:
+        described = OfAllGoals
     else:
-        entry = learners.registry.entry(method.learner)
-    return " ".join((inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n\n")[0].split())
+        described = learners.registry.entry(method.learner).config
+    return " ".join((inspect.getmodule(described).__doc__ or "").strip().partition("\n\n")[0].split())
 
 
 def against(task: str, method: str, **parts: str | None) -> list[Refusal]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from infogoal_jax import imports, presets
+from infogoal_jax.agents.all_goals import RELABELLING, OfAllGoals
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.agents.td3 import TD3Config, TD3Hyperparameters
@@ -24,7 +25,6 @@ from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalConfig, InfoGoalHyperparameters
 from infogoal_jax.presets.loading import take_library
-from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig
@@ -53,7 +53,7 @@ ADDED: dict[type, dict[str, Any]] = {
     HERConfig: {"skip_reached": False},
     CHERConfig: {"skip_reached": False},
     GHRLConfig: {"choice": "best"},
-    AllGoalsConfig: {"desired_share": 0.0},
+    OfAllGoals: {"all_goals": False, "num_goals": 0, "achieved_share": 0.5, "desired_share": 0.0, "code": "sampled"},
     ObjectManipulationConfig: {"privileged": False, "joint_range": 180.0},
     ObjectSearchConfig: {"memory": False},
     EmbodiedQAConfig: {"gathered": False},
@@ -103,7 +103,7 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
             f"{place.path}: {place.prefix}format = {found!r}: this version of infogoal-jax reads runs of format "
             f"{FORMAT}; use the version that wrote the run"
         )
-    hints, values = hints_of(TrainConfig), with_added(TrainConfig, values)
+    hints, values = hints_of(TrainConfig), with_all_goals_of_agent(with_added(TrainConfig, values))
     unknown = sorted(values.keys() - hints.keys() - {"format"})
     if unknown:
         raise place.wrong(unknown[0], values[unknown[0]], f"no such field. Known: {', '.join(hints)}")
@@ -126,6 +126,18 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
     records["hyper"] = hyper_of(values["hyper"], base.hyper, place.within("hyper"))
     plain = {name: decode_value(hint, values[name], name, place) for name, hint in hints.items() if name not in records}
     return built(place, lambda: TrainConfig(**plain, **records))
+
+
+def with_all_goals_of_agent(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with what a former relabelling `all_goals` said among the agent's, and LEO's learner under its name of
+    today."""
+    learner, relabelled, agent = (values.get(kind) for kind in ("learner", "relabelling", "agent"))
+    if isinstance(learner, dict) and learner.get("name") == "index":
+        values = values | {"learner": learner | {"name": "leo"}}
+    if isinstance(relabelled, dict) and relabelled.get("name") == "all_goals" and isinstance(agent, dict):
+        agent = agent | without_name(relabelled) | {"all_goals": True}
+        values = values | {"agent": agent, "relabelling": {"name": RELABELLING}}
+    return values
 
 
 def name_of_part(values: Any, kind: str, place: Place) -> str:

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 
 from infogoal_jax import checks
 from infogoal_jax.agents.agent import Agent
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.checks import Spec
 from infogoal_jax.errors import UserError, a, require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import GoalCode, Learner, SampleSpec, keep, no_loss, no_reward
 from infogoal_jax.registry import Entry
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
+from infogoal_jax.relabelling.relabelling import Relabelling
 
 DEFAULTS = (no_loss, no_reward, keep)
 """Told apart by their identity: whether a learner has a loss of its own."""
@@ -172,6 +173,9 @@ def with_agent_checks(agent: Agent, env: Any) -> Agent:
     """The agent with checks. Raises `UserError` for what is none."""
     check_record(agent, "agent", Agent, {"init": 3, "act": 6, "value": 4, "loss": 6, "observe": 2})
     checks.whole(agent.num_steps, "agent.num_steps", 1)
+    goals = agent.all_goals
+    fits = goals is None or isinstance(goals, OfAllGoals)
+    require(fits, "agent.all_goals", type(goals).__name__, "give an OfAllGoals, or None")
 
     def check_act(actions, params, features, code, action_mask, key, exploration):
         axes = features.shape[:-1]
@@ -198,13 +202,6 @@ def with_relabelling_checks(relabelling: Relabelling | None) -> Relabelling | No
         return None
     check_record(relabelling, "relabelling", Relabelling, {"prepare": 1, "relabel": 5, "choose": 5})
     candidates = checks.whole(relabelling.candidates, "relabelling.candidates", 1)
-    spec = relabelling.all_goals
-    require(
-        spec is None or isinstance(spec, AllGoalsSpec),
-        "relabelling.all_goals",
-        type(spec).__name__,
-        "give an AllGoalsSpec",
-    )
     require(
         (relabelling.choose is None) == (candidates == 1),
         "relabelling.candidates",

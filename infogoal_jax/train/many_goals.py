@@ -1,14 +1,14 @@
-"""Learning each transition from many goals at once, where a relabelling asks for it (`relabelling/all_goals.py`)."""
+"""Learning each transition from many goals at once, where the agent asks for it (`agents/all_goals.py`)."""
 
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax.agents.agent import AllGoals
+from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.goals import select
 from infogoal_jax.keys import draw_chance
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Networks, Setup, code_seen, goal_encoding
@@ -32,7 +32,7 @@ def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, nu
 
 
 def draw_goals(
-    spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired_goal: jax.Array, key: jax.Array
+    spec: OfAllGoals, known: jax.Array, achieved: jax.Array, desired_goal: jax.Array, key: jax.Array
 ) -> tuple[jax.Array | None, jax.Array]:
     """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, a share of those
     that were desired, else any known one. None: all goals of the task. And the weight of each in the loss.

@@ -19,7 +19,7 @@ from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.keys import fold
 from infogoal_jax.learners.encoding import GoalEncoding, View
 from infogoal_jax.learners.learner import GoalCode, Learner
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
+from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.checked_parts import checked_part
 
@@ -67,15 +67,10 @@ def make_parts(config: TrainConfig, env) -> Parts:
     )
 
 
-def all_goals_spec(parts: Parts) -> AllGoalsSpec | None:
-    """What the relabelling asks for; None where a transition has one goal."""
-    return None if parts.relabelling is None else parts.relabelling.all_goals
-
-
 def sees_means(parts: Parts) -> bool:
     """Whether the agent learns from means of codes and acts on them, in place of samples."""
-    spec = all_goals_spec(parts)
-    return spec is not None and spec.mean_code
+    goals = parts.agent.all_goals
+    return goals is not None and goals.code == "mean"
 
 
 def tests_on_means(parts: Parts) -> bool:

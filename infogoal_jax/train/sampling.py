@@ -15,7 +15,7 @@ from infogoal_jax.train.dissimilar import sample_apart, sample_pairs_by_distance
 from infogoal_jax.train.experience import Experience, external_reward, usable_goals
 from infogoal_jax.train.exploring import steps_explored
 from infogoal_jax.train.many_goals import draw_goals, draw_goals_to_learn, goals_to_learn
-from infogoal_jax.train.parts import Setup, all_goals_spec
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.relabelled import RelabelledBatch, relabel_for_learner, with_relabelled_goals
 
 
@@ -77,9 +77,9 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
     if spec.num_goals:
         drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
-    if all_goals_spec(parts) is not None:
+    if parts.agent.all_goals is not None:
         known, many_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
-        goals, weight = draw_goals(all_goals_spec(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
+        goals, weight = draw_goals(parts.agent.all_goals, known, drawn.achieved, buffer.goal[row, step], many_key)
         drawn = drawn.replace(all_goals=goals, goal_weight=weight)
     if spec.first_seen:
         ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]

@@ -17,15 +17,7 @@ from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.exploring import loss_of_explorer
 from infogoal_jax.train.many_goals import under_all_goals
 from infogoal_jax.train.metrics import Scalars, named, positive_regions
-from infogoal_jax.train.parts import (
-    Networks,
-    Setup,
-    TrainState,
-    all_goals_spec,
-    code_seen,
-    encode_states,
-    goal_encoding,
-)
+from infogoal_jax.train.parts import Networks, Setup, TrainState, code_seen, encode_states, goal_encoding
 from infogoal_jax.train.relabelled import RelabelledBatch, draws_at_once
 from infogoal_jax.train.sampling import Sample, sample
 
@@ -157,7 +149,7 @@ def update(
         # Goals of a table are encoded once for agent and learner, so that their gradients go back as one.
         table = encode if encoding.has_table and encoding.view is None else None
         codes = agent_batch(setup, networks, batch, reward, code_key, table)
-        if all_goals_spec(parts) is not None:
+        if agent.all_goals is not None:
             codes = codes.replace(
                 all_goals=under_all_goals(
                     setup, networks, batch, drawn.all_goals, drawn.goal_weight, jax.random.fold_in(key, 5)

@@ -185,7 +185,7 @@ def test_values_are_bounded_by_what_staying_at_the_goal_is_worth():
         make_train(of_sigmoid)
     assert not reasons_against(dataclasses.replace(goes_on, agent=TD3Config(critic="product")))
     all_goals = presets.load("fetch_reach", "all_goals", env=dataclasses.replace(goes_on.env), agent="td3")
-    assert "relabelling" in {
+    assert "agent.all_goals" in {
         refusal.field for refusal in reasons_against(dataclasses.replace(all_goals, task="reacher"))
     }
     presets.register("square", Square(GOALS, ends_at_goal=False))

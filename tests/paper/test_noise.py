@@ -197,8 +197,8 @@ def test_a_reading_changes_its_preset_alone():
 
 def test_the_head_under_hrac_draws_as_few_goals_as_on_fetch():
     fetch, cube = noise_numbers.HELD_OUT_FETCH[0], noise_numbers.HELD_OUT_HRAC
-    few = noise.run_of(fetch, "all_goals", 0, toy=False).preset().relabelling.num_goals
-    assert noise_numbers.settings_of(cube, "infogoal+all_goals") == {"relabelling.num_goals": few}
+    few = noise.run_of(fetch, "all_goals", 0, toy=False).preset().agent.num_goals
+    assert noise_numbers.settings_of(cube, "infogoal+all_goals") == {"agent.num_goals": few}
     assert (
         noise_numbers.settings_of(cube, "her") == noise_numbers.settings_of(noise_numbers.HELD_OUT, "all_goals") == {}
     )

@@ -76,7 +76,8 @@ def test_agent_and_protocol_of_a_run_are_in_its_configuration():
         config = plan.config_of(run)
         names = presets.names_of(config)
         assert (config.known_goals, names["agent"]) == (run.known_goals, agents[run.task])
-        assert (names["relabelling"] == "all_goals") == (run.label.split("+")[0] == "leo" or "all_goals" in run.label)
+        of_all = run.label.split("+")[0] == "leo" or "all_goals" in run.label
+        assert config.agent.all_goals == (names["relabelling"] == "random") == of_all
     (tuned,) = all_goals(tasks=("object_search",), methods=("infobot+all_goals",), known_goals=("held_out",), sets=(0,))
     hyper, with_her = plan.config_of(tuned).hyper, presets.load("object_search", "infobot", relabelling="her").hyper
     assert hyper.learner_weight == 0.01 != with_her.learner_weight

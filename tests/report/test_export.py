@@ -21,8 +21,8 @@ from infogoal_jax.cli.export import actions_in_words
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError, counted
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import steer
-from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.report import export, runs
 from infogoal_jax.train.program import Train
 
@@ -105,7 +105,7 @@ def test_actions_are_those_of_the_evaluation(shelf, exported):
 
 @pytest.mark.parametrize("code", ["sampled", "mean"])
 def test_the_file_says_whether_it_acts_on_samples(code, tmp_path):
-    case = case_of(hand_made.config("infogoal", relabelling=AllGoalsConfig(code=code)), hand_made.environment())
+    case = case_of(with_values(hand_made.config("infogoal+all_goals"), {"agent.code": code}), hand_made.environment())
     exported = export.export_params(*case, tmp_path / "policy.npz", {})
     assert exported.about["samples_code"] == (code == "sampled")
 

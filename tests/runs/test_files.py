@@ -137,13 +137,21 @@ def test_a_wrong_value_at_any_depth_of_a_configuration_is_named(value):
 
 @pytest.mark.parametrize("agent", ["dqn", "hrac"])
 def test_runs_of_all_goals_from_before_a_field_was_there_are_read(agent):
-    """What was added since has the value of what was done before."""
-    config = presets.load("object_manipulation", agent=agent, relabelling="all_goals")
+    """What was added since has the value of what was done before; all goals were a relabelling, and LEO's learner had
+    another name."""
+    method = "leo" if agent == "dqn" else "infogoal+all_goals"
+    config = presets.load("object_manipulation", method, agent=agent)
     values = to_dict(config)
-    for part, name in (("relabelling", "desired_share"), ("agent", "layer_norm")):
-        del values[part][name]
-    found = from_dict(values)
-    assert found.relabelling.desired_share == 0 and not found.agent.layer_norm
+    of_relabelling = {
+        name: values["agent"].pop(name) for name in ("num_goals", "achieved_share", "desired_share", "code")
+    }
+    former = values | {"relabelling": {"name": "all_goals", **of_relabelling}}
+    former["learner"] = former["learner"] | ({"name": "index"} if method == "leo" else {})
+    del former["agent"]["all_goals"]
+    assert from_dict(former) == config
+    del former["relabelling"]["desired_share"], former["agent"]["layer_norm"]
+    found = from_dict(former).agent
+    assert (found.all_goals, found.num_goals, found.desired_share, found.layer_norm) == (True, 512, 0.0, False)
 
 
 def value_at(values: dict, path: tuple[str, ...]):

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, make_train, presets
+from infogoal_jax.agents.all_goals import OfAllGoals
+from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.agents.td3 import TD3Config
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infobot import InfoBotConfig
-from infogoal_jax.loading import check_combination, load_environment
-from infogoal_jax.relabelling.all_goals import AllGoalsConfig
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec
+from infogoal_jax.loading import load_environment
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.many_goals import draw_goals, goal_weights, under_all_goals
@@ -26,8 +28,7 @@ TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made
 
 def training(method: str, **changes):
     """Training of this method on the hand-made rooms under all goals."""
-    relabelling = {"relabelling": None if method == "leo" else "all_goals"}
-    return make_train(hand_made.config(method, **(relabelling | changes)), hand_made.environment())
+    return make_train(hand_made.config(f"{method}+all_goals", **changes), hand_made.environment())
 
 
 def initial(train):
@@ -95,8 +96,8 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
     known = jnp.asarray(np.isin(np.arange(100), [3, 7, 20, 30]))
     achieved, desired = jnp.array([[[7, -1]], [[-1, 20]], [[7, 20]]]), jnp.array([3, 3, 30])
 
-    def drawn(achieved, *spec):
-        return draw_goals(AllGoalsSpec(*spec, mean_code=False), known, achieved, desired, jax.random.key(0))[0]
+    def drawn(achieved, *shares):
+        return draw_goals(OfAllGoals(True, *shares), known, achieved, desired, jax.random.key(0))[0]
 
     @jax.jit
     def all_drawn(achieved, nothing):
@@ -113,7 +114,8 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
 @pytest.mark.parametrize("code", [pytest.param("sampled", marks=pytest.mark.long), "mean"])
 def test_an_agent_that_learns_from_means_of_codes_acts_on_them(begun, code):
     """However often it acts, it does the same."""
-    train, (_, state) = training("infogoal", relabelling=AllGoalsConfig(code=code)), begun
+    config = with_values(hand_made.config("infogoal+all_goals"), {"agent.code": code})
+    train, (_, state) = make_train(config, hand_made.environment()), begun
     env, hyper = train.env, train.config.hyper.replace(test_epsilon=jnp.asarray(0.0))
     policy = train.policy(state.params, hyper, env)
     rooms, goals = jnp.arange(env.num_observations), jnp.arange(env.num_observations) % env.goals.num_goals
@@ -159,24 +161,31 @@ def test_goals_of_the_hand_made_rooms_are_learned(method):
 def test_what_does_not_go_together_is_refused():
     env = hand_made.environment()
     for changes, blame in (
-        ({"relabelling": "all_goals", "learner": InfoBotConfig(state_conditioned=True)}, "depends on the state"),
-        ({"relabelling": "all_goals", "explorer": "sse_db"}, "sse_db"),
-        ({"learner": "index", "agent": presets.load("object_search").agent}, "go together only"),
+        ({"learner": InfoBotConfig(state_conditioned=True)}, "depends on the state"),
+        ({"explorer": "sse_db"}, "sse_db"),
     ):
         with pytest.raises(UserError, match=blame):
-            make_train(hand_made.config("none", **changes), env)
-    with pytest.raises(UserError, match="agent hrac values one goal at a time"):
-        check_combination(presets.load("fetch_reach", "none", agent=HRACConfig(), relabelling="all_goals"))
+            make_train(hand_made.config("all_goals", **changes), env)
+    with pytest.raises(UserError, match="go together only"):
+        make_train(hand_made.config("leo", agent=presets.load("object_search").agent), env)
+    for agent, blame in (
+        ("sac", "^agent = 'sac': values one goal at a time: give one of dqn, hrac, td3, cql"),
+        (HRACConfig(), "^agent.all_goals = False: method all_goals learns from all goals"),
+        (HRACConfig(all_goals=True), "^agent.critic = 'concatenated': values one goal at a time"),
+        (TD3Config(all_goals=True), "^agent.critic = 'concatenated': values one goal at a time"),
+    ):
+        with pytest.raises(UserError, match=blame):
+            presets.load("fetch_reach", "all_goals", agent=agent)
     config = hand_made.config("none")
     with pytest.raises(UserError, match="agent.head = 'index'"):
         make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, head="index")), env)
     for given, blame in (
-        ({"achieved_share": 2}, "relabelling.achieved_share = 2"),
-        ({"desired_share": -1}, "relabelling.desired_share = -1"),
-        ({"achieved_share": 0.8, "desired_share": 0.3}, "relabelling.desired_share = 0.3: with .* it makes 1.1"),
+        ({"achieved_share": 2}, "agent.achieved_share = 2"),
+        ({"desired_share": -1}, "agent.desired_share = -1"),
+        ({"achieved_share": 0.8, "desired_share": 0.3}, "agent.desired_share = 0.3: with .* it makes 1.1"),
     ):
         with pytest.raises(UserError, match=blame):
-            hand_made.config("none", relabelling=AllGoalsConfig(**given))
+            hand_made.config("none", agent=DQNConfig(**given))
 
 
 def test_an_environment_with_goals_by_number_can_be_given_again():
@@ -212,5 +221,16 @@ def test_settings_of_the_head_reach_its_network(field, kind, norm):
 def test_names_say_what_is_learned_from():
     assert presets.name_of(presets.load("object_search", "leo")) == "leo"
     assert presets.load("object_search", "leo").agent.head == "index"
-    head = presets.load("object_search", "infogoal", relabelling="all_goals")
+    head = presets.load("object_search", "infogoal+all_goals")
     assert presets.name_of(head) == "infogoal+all_goals" and head.agent.head == "product" and head.agent.bounded
+
+
+def test_the_relabelling_is_free():
+    """It says what looks at one goal a transition; another one is part of the name."""
+    own, her = presets.load("object_search", "all_goals"), presets.load("object_search", "her+all_goals")
+    names = [presets.names_of(config)["relabelling"] for config in (own, her)]
+    assert names == ["random", "her"] and own.agent == her.agent and own.agent.all_goals
+    assert [presets.name_of(config) for config in (own, her)] == ["all_goals", "all_goals+her"]
+    assert dataclasses.replace(own, relabelling=her.relabelling) == her
+    with pytest.raises(UserError, match=r"^relabelling = 'all_goals': .*give --method infogoal\+all_goals"):
+        presets.load("object_search", "infogoal", relabelling="all_goals")
