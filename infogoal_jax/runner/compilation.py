@@ -19,7 +19,11 @@ from infogoal_jax.errors import require
 
 OPTIONS: dict[str, dict[str, int | bool | str]] = {
     "cpu": {"xla_backend_optimization_level": 1},
-    "gpu": {"xla_gpu_triton_gemm_any": False, "xla_gpu_command_buffer_scheduling_mode": "CONCURRENT"},
+    "gpu": {
+        "xla_gpu_triton_gemm_any": False,
+        "xla_gpu_command_buffer_scheduling_mode": "CONCURRENT",
+        "xla_gpu_dot_merger_threshold_mb": 0,
+    },
 }
 """Measured on object search and Fetch. With LLVM's first level a CPU compiles in two thirds of the time and runs as
 fast as with the third; the level below runs two to four times as long. On a GPU cuBLAS multiplies what a kernel of
