@@ -34,6 +34,8 @@ SUCCESS = 0.5
 """The success that seconds are counted to."""
 LEARNED = 0.05
 """The success from which on a task is drawn."""
+COLOURS = dict(zip(("ours", "theirs", "ours+infogoal"), ROOM_COLOURS, strict=False))
+"""Of the sides."""
 
 
 @dataclasses.dataclass
@@ -123,15 +125,17 @@ def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tupl
 
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
-    """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are."""
-    lines = []
+    """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are, where
+    both were timed alone, or both beside others."""
+    lines, timed = [], {each.program() for each in alone}
     for task, agent, sides in compared(outcomes, alone):
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
+            alike = ((task, agent, side) in timed) == ((task, agent, "theirs") in timed)
             success = [tight(mean_interval(curves[:, place])) for place in (-1, np.abs(steps - reached).argmin())]
             speeds = [
-                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side != "theirs" else "")
+                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and alike and side != "theirs" else "")
                 for own, other in (
                     (outcome.steps_per_second(), theirs and theirs.steps_per_second()),
                     (outcome.updates_per_second(), theirs and theirs.updates_per_second()),
@@ -188,15 +192,17 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
         figure = empty_figure("Beside JaxGCRL", below, (2.3 * len(columns), 4.2))
         panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
         for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
-            for colour, (side, outcome) in zip(ROOM_COLOURS, sides.items(), strict=False):
-                curves = np.array(outcome.success)
+            for side, outcome in sides.items():
+                curves, colour = np.array(outcome.success), COLOURS[side]
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
                 draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
             upper.set(title=f"{task}, {agent}", xlabel="million steps")
             lower.set(xlabel="seconds a seed")
             for axes in (upper, lower):
                 finish_share_axis(axes, "success" if axes in panels[:, 0] else "")
-        panels[0, 0].legend(fontsize="x-small")
+        lines = {line.get_label(): line for axes in panels[0] for line in axes.get_lines()}
+        shown = [side for side in COLOURS if side in lines]
+        panels[0, 0].legend([lines[side] for side in shown], shown, fontsize="x-small")
         save(figure, path)
 
 

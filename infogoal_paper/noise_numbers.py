@@ -108,7 +108,6 @@ BESIDE = {
         *(f"{method}@memory" for method in SEARCHERS),
         *(f"{method}@steps_{steps}" for steps in (50, 300) for method in SEARCHERS[:4]),
         *("infobot@beta_0.001", "infobot@beta_0.01"),
-        *(f"{method}@memory_long" for method in SEARCHERS),
     ),
 }
 """The methods of studies that have few, in order."""
@@ -123,8 +122,7 @@ READINGS: dict[str, dict[str, Any]] = {
     "updates_100": {"updates_per_epoch": 100},
     "floor": {"hyper.learner.beta_floor": 1e-3},
     "clean": {},
-    "memory": {"env.memory": True},
-    "memory_long": {"env.memory": True, "num_epochs": 1000},
+    "memory": {"env.memory": True, "num_epochs": 1000},
     "steps_50": {"env.episode_length": 50},
     "steps_300": {"env.episode_length": 300},
     "beta_0.001": {"hyper.learner.beta": 1e-3},
@@ -231,7 +229,6 @@ READING_WORDS = {
     "floor": "beta of at least 0.001",
     "clean": "floats chosen again",
     "memory": "with a memory",
-    "memory_long": "with a memory, 1,000 epochs",
     "steps_50": "episodes of 50 steps",
     "steps_300": "episodes of 300 steps",
     "beta_0.001": "beta 0.001",
@@ -632,10 +629,10 @@ def searching_table(numbers: Numbers) -> str:
     """Of object search as it is, and of each change of `SEARCHERS`, a column: success on test goals greedy/at `SAME`, a
     row for each method, and with a memory training goals at `SAME`. Then differences by both rules, seeds paired; bold:
     without 0. Below, InfoBot with other betas."""
-    changes = ("memory", "memory_long", "steps_50", "steps_300")
+    changes = ("memory", "steps_50", "steps_300")
     changes = [change for change in changes if numbers.has(SEARCHING, f"her@{change}")]
     columns = [("", "test")]
-    columns += [(change, kind) for change in changes for kind in ("test", "train")[: 1 + change.startswith("memory")]]
+    columns += [(change, kind) for change in changes for kind in ("test", "train")[: 1 + (change == "memory")]]
 
     def reached(method: str, change: str, kind: str) -> list[dict[tuple[int, int], float]]:
         run = (SEARCHING, f"{method}@{change}") if change else ("object_search", method)

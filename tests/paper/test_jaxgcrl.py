@@ -57,6 +57,26 @@ def test_seconds_are_those_of_programs_that_ran_alone():
     assert jaxgcrl.timed_alone(beside, [outcome("ours")]) == beside
 
 
+def test_times_theirs_are_said_where_both_were_timed_alike():
+    sides = [outcome("ours"), outcome("theirs")]
+    for alone, said in (([], True), (sides, True), (sides[:1], False), (sides[1:], False)):
+        mine, other = jaxgcrl.rows(sides, alone)
+        assert ("x)" in mine[5], "x)" in mine[6]) == (said, said) and "x)" not in "".join(other)
+
+
+def test_a_side_has_one_colour_in_every_panel_and_a_line_of_the_legend(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(jaxgcrl, "save", lambda figure, path: figures.append(figure))
+    beside = [outcome("ours"), outcome("theirs"), outcome("ours"), outcome("ours+infogoal")]
+    for each in beside[2:]:
+        each.task = "reacher"
+    jaxgcrl.draw(beside, [], tmp_path / "figure.png")
+    axes = figures[0].axes
+    colours = [{line.get_label(): line.get_color() for line in each.get_lines()} for each in axes[:2]]
+    assert colours[0]["ours"] == colours[1]["ours"] and colours[0]["theirs"] != colours[1]["ours+infogoal"]
+    assert [text.get_text() for text in axes[0].get_legend().get_texts()] == ["ours", "theirs", "ours+infogoal"]
+
+
 def test_what_is_taken_again_replaces_what_was_there(numbers, tmp_path):
     assert jaxgcrl.tables() == {}
     for number, success in enumerate((0.1, 0.2)):
