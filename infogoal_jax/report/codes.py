@@ -16,11 +16,13 @@ CODE_SAMPLES = 60  # Drawn from the Gaussian of each goal.
 
 
 def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre [d], the first two principal axes [2, d] and their shares of the variance [2] of points [n, d]."""
+    """Centre [d], the first two principal axes [2, d] and their shares of the variance [2] of points [n, d]. Where
+    there is no second axis, as of codes of one number, it is 0."""
     centre = points.mean(0)
     _, scales, axes = np.linalg.svd(points - centre, full_matrices=False)
     shares = scales**2 / max((scales**2).sum(), np.finfo(float).tiny)
-    return centre, axes[:2], shares[:2]
+    lacking = max(2 - len(axes), 0)
+    return centre, np.pad(axes[:2], ((0, lacking), (0, 0))), np.pad(shares[:2], (0, lacking))
 
 
 def finish_code_axes(axes: Axes, shares: np.ndarray) -> None:

@@ -246,6 +246,13 @@ def test_principal_components_find_the_plane_of_the_points():
     assert shares.sum() == pytest.approx(1) and shares[0] > shares[1]
 
 
+def test_codes_of_one_number_lie_on_a_line_of_the_plane():
+    """As those of LEO, whose codes are the numbers of goals: the figure of its codes was a traceback."""
+    centre, axes, shares = principal_components(np.array([[1.0], [2.0], [6.0]]))
+    np.testing.assert_allclose(np.abs((np.array([[6.0]]) - centre) @ axes.T), [[3.0, 0.0]])
+    assert shares.tolist() == [1.0, 0.0]
+
+
 @pytest.fixture
 def packed(sweep, tmp_path, monkeypatch):
     """Seed 4 of the run as one file, with a cache of its own."""
