@@ -22,8 +22,8 @@ class Trajectories:
     """Pytree of [R, T + 1, ...], what was achieved."""
     action: jax.Array
     """int32 [R, T], or float32 [R, T, A]."""
-    goal: jax.Array
-    """Desired goal [R, T, *shape]."""
+    desired_goal: jax.Array
+    """[R, T, *shape]."""
     valid: jax.Array
     """bool [R, T], whether t -> t + 1 is a transition of one episode."""
     terminated: jax.Array
@@ -50,8 +50,8 @@ class Transitions:
     """[B, ...] after the last step."""
     action: jax.Array
     """[B, ...] of the first step."""
-    goal: jax.Array
-    """[B, *shape] desired goal."""
+    desired_goal: jax.Array
+    """[B, *shape]."""
     records: jax.Array
     """[B, n, ...] achieved after each step."""
     mask: jax.Array
@@ -94,13 +94,13 @@ def transitions_at(
     row: jax.Array,
     first: jax.Array,
     num_steps: int,
-    goal: jax.Array | None = None,
+    desired_goal: jax.Array | None = None,
     reached: Callable | None = None,
 ) -> Transitions:
     """The transitions that start at these rows and steps, int32 [B] each, with at most `num_steps` steps of one
     episode.
 
-    goal: desired goals [B, *shape] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1, *shape]) ->
+    desired_goal: [B, *shape] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1, *shape]) ->
     bool [B, n]` then decides where an episode terminates; None: reaching a goal ends nothing.
     """
     length = buffer.valid.shape[1]
@@ -110,12 +110,12 @@ def transitions_at(
     going_on = inside & buffer.valid[row[:, None], step]
     mask = jnp.cumprod(going_on, axis=1, dtype=jnp.int32)
     records = jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record)
-    if goal is None or reached is None:
-        goal = buffer.goal[row, first] if goal is None else goal
+    if desired_goal is None or reached is None:
+        desired_goal = buffer.desired_goal[row, first] if desired_goal is None else desired_goal
         last = first + mask.sum(1, dtype=jnp.int32) - 1
         terminated = buffer.terminated[row, last]
     else:
-        hit = reached(records, goal[:, None]) & (mask > 0)
+        hit = reached(records, desired_goal[:, None]) & (mask > 0)
         earlier = jnp.cumsum(hit, axis=1, dtype=jnp.int32) - hit.astype(jnp.int32)
         mask = mask * (earlier == 0).astype(jnp.int32)  # Nothing counts after the first hit.
         last, terminated = first + mask.sum(1, dtype=jnp.int32) - 1, hit.any(1)
@@ -125,7 +125,7 @@ def transitions_at(
         observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
         next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),
         action=buffer.action[row, first],
-        goal=goal,
+        desired_goal=desired_goal,
         records=records,
         mask=mask.astype(jnp.float32),
         terminated=terminated,

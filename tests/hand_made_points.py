@@ -36,7 +36,7 @@ class PointState:
     """One episode of a point: observation [10], of which the first three numbers are its position."""
 
     observation: jax.Array
-    goal: jax.Array
+    desired_goal: jax.Array
     time: jax.Array
     terminated: jax.Array
     truncated: jax.Array
@@ -63,7 +63,7 @@ class Point:
     def step(self, state: PointState, action: jax.Array) -> PointState:
         """The first three numbers of the action are the displacement in units of `SPEED`."""
         observation = state.observation.at[:3].add(SPEED * jnp.clip(action[:3], -1.0, 1.0))
-        time, terminated = state.time + 1, self.reached(observation[:3], state.goal)
+        time, terminated = state.time + 1, self.reached(observation[:3], state.desired_goal)
         truncated = (time >= self.episode_length) & ~terminated
         return state.replace(observation=observation, time=time, terminated=terminated, truncated=truncated)
 

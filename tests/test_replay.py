@@ -59,7 +59,7 @@ def test_transitions_stay_within_their_episode_and_step_by_one(rows):
     assert (taken >= 1).all()
     # Same episode: only the step has grown.
     np.testing.assert_array_equal(batch.next_observation, batch.observation + taken)
-    np.testing.assert_array_equal(batch.goal, batch.observation // 1000)
+    np.testing.assert_array_equal(batch.desired_goal, batch.observation // 1000)
     for step in range(3):
         inside = batch.mask[:, step] > 0
         np.testing.assert_array_equal(batch.records[inside, step], batch.observation[inside] + step + 1)
@@ -128,9 +128,9 @@ def test_new_rows_replace_the_oldest(rows):
     buffer, add = replay.empty(rows, 2), jax.jit(replay.add)
     assert not np.asarray(buffer.valid).any()
     for epoch in range(3):
-        buffer = add(buffer, rows.replace(goal=np.full_like(rows.goal, epoch)), epoch)
-    np.testing.assert_array_equal(np.unique(buffer.goal[:6]), [2])
-    np.testing.assert_array_equal(np.unique(buffer.goal[6:]), [1])
+        buffer = add(buffer, rows.replace(desired_goal=np.full_like(rows.desired_goal, epoch)), epoch)
+    np.testing.assert_array_equal(np.unique(buffer.desired_goal[:6]), [2])
+    np.testing.assert_array_equal(np.unique(buffer.desired_goal[6:]), [1])
 
 
 def random_rows(seed: int, rows: int = 4, steps: int = 30, per_step: int = 3, num_goals: int = 12):

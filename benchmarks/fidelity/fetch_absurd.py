@@ -53,7 +53,7 @@ def make_chunk(env, batch: int):
             actions = jnp.stack([make(number, batch, action_key) for make in PATTERNS])[pattern]
             stepped = jax.vmap(env.step)(states, actions)
             record = jax.vmap(env.achieved)(stepped)
-            seen = (stepped.observation, record, env.reward(record, stepped.goal), stepped.motion)
+            seen = (stepped.observation, record, env.reward(record, stepped.desired_goal), stepped.motion)
             finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(seen)]).all()
             fresh = jax.vmap(env.reset)(jax.random.split(reset_key, batch))
             finished = stepped.terminated | stepped.truncated

@@ -72,7 +72,7 @@ def play_ours(
 
     def advance(state, action):
         state = env.step(state, action)
-        return state, env.reached(env.achieved(state), state.goal)
+        return state, env.reached(env.achieved(state), state.desired_goal)
 
     states = jax.jit(jax.vmap(begin))(first.astype(np.float32), goals.astype(np.float32))
     step = jax.jit(jax.vmap(advance))

@@ -62,7 +62,7 @@ def measure(env: Fetch, batch: int) -> tuple[float, float]:
 
         def step(states, step_key):
             states = jax.vmap(env.step)(states, jax.random.uniform(step_key, (batch, 4), minval=-1.0, maxval=1.0))
-            return states, (env.reward(env.achieved(states), states.goal), states.diverged)
+            return states, (env.reward(env.achieved(states), states.desired_goal), states.diverged)
 
         states, (rewards, diverged) = jax.lax.scan(step, states, jax.random.split(action_key, env.episode_length))
         return states.observation, rewards.mean(), diverged.sum()

@@ -93,7 +93,7 @@ def peer_arrays(train) -> dict[str, np.ndarray]:
         "goal_inputs": goals.inputs_of(jnp.arange(goals.num_goals)),
         "image": rows.observation,
         "action": rows.action,
-        "goal": rows.goal[:, 0],
+        "goal": rows.desired_goal[:, 0],
         "length": rows.valid.sum(1),
         "settings": json.dumps(settings),
     }

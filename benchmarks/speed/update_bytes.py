@@ -229,8 +229,8 @@ def least(train) -> dict[str, int]:
     parameters = size_of(state.params)
     seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
     goal = jax.eval_shape(lambda: env.goals.inputs_of(env.goals.examples[0]))
-    asked = [drawn.transitions.goal, drawn.goals, drawn.all_goals]
-    asked += [] if drawn.relabelled is None else [drawn.relabelled.goal]
+    asked = [drawn.transitions.desired_goal, drawn.goals, drawn.all_goals]
+    asked += [] if drawn.relabelled is None else [drawn.relabelled.desired_goal]
     pairs = drawn.pairs
     asked += [] if pairs is None else [pairs.anchor, pairs.positive, pairs.negative, pairs.other]
     axes = len(env.goals.shape)

@@ -138,9 +138,9 @@ class FetchBrax(Env):
         """40 ms under an action [4] in [-1, 1]."""
         fetch = self.fetch.step(state.pipeline_state.fetch, action)
         record = self.fetch.achieved(fetch)
-        distance = jnp.sqrt(((record - fetch.goal) ** 2).sum())
-        reward = -distance if self.reward == "dense" else self.fetch.reward(record, fetch.goal)
-        success = self.fetch.reached(record, fetch.goal).astype(jnp.float32)
+        distance = jnp.sqrt(((record - fetch.desired_goal) ** 2).sum())
+        reward = -distance if self.reward == "dense" else self.fetch.reward(record, fetch.desired_goal)
+        success = self.fetch.reached(record, fetch.desired_goal).astype(jnp.float32)
         metrics = {"success": success, "distance_per_step": distance, "diverged": fetch.diverged.astype(jnp.float32)}
         info = dict(state.info)
         if "first_obs" in info:  # brax resets by itself: give it a new episode to start from.
@@ -192,7 +192,7 @@ class FetchBrax(Env):
         return FetchPipelineState(fetch=fetch, physics=self.fetch.physics)
 
     def _observation(self, fetch: FetchState) -> jax.Array:
-        return jnp.concatenate([fetch.observation, fetch.goal])
+        return jnp.concatenate([fetch.observation, fetch.desired_goal])
 
 
 @contextlib.contextmanager
@@ -235,7 +235,7 @@ def render_html(env: Env, states: list[State], height: int = 480) -> str:
         )
     system = env.unwrapped.sys
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state.pipeline_state for state in states])
-    poses, goals = jax.device_get((stacked.x, stacked.fetch.goal))
+    poses, goals = jax.device_get((stacked.x, stacked.fetch.desired_goal))
     scene = json.loads(brax_json.dumps(system, []))
     for link, geoms in link_geoms(env.unwrapped.fetch.physics.mujoco_model, list(system.link_names)).items():
         scene["geoms"].setdefault(link, []).extend(geoms)

@@ -116,14 +116,15 @@ def seen(env: Environment, state: Any) -> dict[str, jax.Array]:
     """The observation, and the goals as bits int8 [N], or as the vectors that they are, float32 [D]."""
     record, observation = env.achieved(state), shown_observation(env, state)
     if not env.goals.finite:
-        return {"observation": observation, "achieved_goal": env.goals_of(record)[0], "desired_goal": state.goal}
+        achieved = env.goals_of(record)[0]
+        return {"observation": observation, "achieved_goal": achieved, "desired_goal": state.desired_goal}
     goals, bits = env.goals_of(record), jnp.zeros(env.goals.num_goals, jnp.int8)
     achieved = bits.at[jnp.where(goals < 0, env.goals.num_goals, goals)].set(1, mode="drop")
     return {
         "observation": observation,
         # `goals_of` may leave out the desired goal where it is reached: a test question, a pose within 10 degrees.
-        "achieved_goal": achieved.at[state.goal].set(env.reached(record, state.goal).astype(jnp.int8)),
-        "desired_goal": bits.at[state.goal].set(1),
+        "achieved_goal": achieved.at[state.desired_goal].set(env.reached(record, state.desired_goal).astype(jnp.int8)),
+        "desired_goal": bits.at[state.desired_goal].set(1),
     }
 
 
@@ -160,7 +161,7 @@ def move_all(env: Environment, states: Any, actions: jax.Array, keys: jax.Array)
 
     def one(state, action, key):
         ended = state.terminated | state.truncated
-        fresh, _ = start(env, key, no_goals_like(state.goal))
+        fresh, _ = start(env, key, no_goals_like(state.desired_goal))
         state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, env.step(state, action))
         return state, seen(env, state), env.action_mask(env.observe(state)), ended
 

@@ -76,7 +76,7 @@ def check_functions(env: Environment) -> None:
     key = jax.eval_shape(lambda: jax.random.key(0))
     state = checks.traced("env.reset", env.reset, key)
     check_state(env, state)
-    again = checks.traced("env.reset_to", env.reset_to, key, state.goal)
+    again = checks.traced("env.reset_to", env.reset_to, key, state.desired_goal)
     checks.same_shapes(again, state, "env.reset_to", "env.reset")
     action = Spec((), "int32") if env.discrete else Spec((env.action_size,), "float32")
     checks.same_shapes(
@@ -150,12 +150,12 @@ def check_kind(env: Environment) -> None:
 
 def check_state(env: Environment, state: Any) -> None:
     """Raise `UserError` for a state without the fields that every state has, or with others under their names."""
-    for name in ("goal", "time", *FLAGS):
+    for name in ("desired_goal", "time", *FLAGS):
         require(hasattr(state, name), "the state of env.reset", type(state).__name__, f"has no field {name}")
     for name in FLAGS:
         check_flag(getattr(state, name), f"state.{name}")
     checks.returned(state.time, "state.time", Spec((), "int32"))
-    checks.returned(state.goal, "state.goal", Spec(env.goals.shape, env.goals.dtype))
+    checks.returned(state.desired_goal, "state.desired_goal", Spec(env.goals.shape, env.goals.dtype))
 
 
 def check_goals(env: Environment) -> None:
@@ -201,7 +201,7 @@ def check_goals(env: Environment) -> None:
 def started(env: Environment, state: Any) -> tuple[jax.Array, list[jax.Array]]:
     """The desired goal of an episode that begins, and whether what is seen of it is finite, and its world."""
     seen = jnp.isfinite(env.render(env.observe(state))).all()
-    return state.goal, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
+    return state.desired_goal, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
 
 
 def rounded(goals: np.ndarray) -> list:

@@ -81,7 +81,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray) -> Trajectori
         "observation": observation,
         "record": observation,
         "action": action,
-        "goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
+        "desired_goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
         "valid": valid,
         "terminated": np.zeros(shape, bool),
         "truncated": truncated,

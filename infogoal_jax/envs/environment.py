@@ -42,7 +42,7 @@ class Traits(NamedTuple):
 class Environment:
     """A task. Members without a value must be given; the others have the value that most tasks need.
 
-    A state is a pytree with at least `goal` (the desired goal [*shape]), `time` (int32, steps taken), `terminated`
+    A state is a pytree with at least `desired_goal` ([*shape]), `time` (int32, steps taken), `terminated`
     (bool, the goal is reached), `truncated` (bool, time is up; never together with terminated) and `diverged` (bool,
     the last step of a simulation was thrown away and is not stored).
     """

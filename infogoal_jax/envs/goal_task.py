@@ -48,8 +48,8 @@ class Episode:
 
     world: Any
     """What the task itself knows: a pytree of arrays."""
-    goal: jax.Array
-    """float32 [D], desired goal."""
+    desired_goal: jax.Array
+    """float32 [D]."""
     time: jax.Array
     """int32, steps so far."""
     terminated: jax.Array
@@ -136,7 +136,7 @@ class GoalTask(Environment):
         false = jnp.zeros((), bool)
         return Episode(
             world=world,
-            goal=jnp.asarray(goal, jnp.float32),
+            desired_goal=jnp.asarray(goal, jnp.float32),
             time=jnp.zeros((), jnp.int32),
             terminated=false,
             truncated=false,
@@ -150,7 +150,7 @@ class GoalTask(Environment):
         diverged = ~self.is_finite(moved)
         world = jax.tree.map(lambda old, new: jax.lax.select(diverged, old, new), state.world, moved)
         time = state.time + 1
-        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved_goal(world), state.goal)
+        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved_goal(world), state.desired_goal)
         over = (time >= self.episode_length) | diverged
         over = over | self.fails(world) if self.can_fail else over
         truncated = over & ~terminated

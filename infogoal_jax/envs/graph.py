@@ -24,8 +24,8 @@ class GraphState:
 
     node: jax.Array
     """int32, index of the image."""
-    goal: jax.Array
-    """int32, desired goal."""
+    desired_goal: jax.Array
+    """int32."""
     time: jax.Array
     """int32, steps so far."""
     terminated: jax.Array
@@ -94,7 +94,7 @@ class GraphWalk(Environment):
         false, key = jnp.zeros((), bool), None if self.views is None else key
         return GraphState(
             node=node,
-            goal=jnp.asarray(goal, jnp.int32),
+            desired_goal=jnp.asarray(goal, jnp.int32),
             time=jnp.zeros((), jnp.int32),
             terminated=false,
             truncated=false,
@@ -106,7 +106,7 @@ class GraphWalk(Environment):
         node, time = self.next_node[state.node, action], state.time + 1
         if self.views is not None:
             node = jax.random.choice(jax.random.fold_in(state.key, time), self.views[node])
-        terminated = self.reached(node, state.goal)
+        terminated = self.reached(node, state.desired_goal)
         return state.replace(
             node=node, time=time, terminated=terminated, truncated=(time >= self.episode_length) & ~terminated
         )
@@ -140,7 +140,7 @@ class GraphWalk(Environment):
 
     def shortest_path(self, state: GraphState) -> jax.Array:
         """Steps to the nearest node that reaches the goal, int32."""
-        return self.distance[self.place[state.goal], state.node].astype(jnp.int32)
+        return self.distance[self.place[state.desired_goal], state.node].astype(jnp.int32)
 
 
 @flax.struct.dataclass

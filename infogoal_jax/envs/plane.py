@@ -117,7 +117,7 @@ class PointMaze(GoalTask):
             for number, has_door in enumerate(doors, 1):
                 is_open = jnp.array(has_door, bool)[row] & at_door
                 walls |= (jnp.abs(pixels[..., axis] - number) < 0.03) & ~is_open
-        goal, point = is_near(pixels, state.goal, self.radius), is_near(pixels, state.world, 0.07)
+        goal, point = is_near(pixels, state.desired_goal, self.radius), is_near(pixels, state.world, 0.07)
         return paint((walls, WALL), (goal, GOAL), (point, BODY))
 
 
@@ -169,7 +169,7 @@ class Reacher(GoalTask):
         along = jnp.linspace(0.0, 1.0, 21, dtype=jnp.float32)[:, None]
         places = jnp.concatenate([along * elbow, elbow + along * (tip - elbow)])
         arm = jax.vmap(lambda place: is_near(pixels, place, 0.06))(places).any(0)
-        return paint((is_near(pixels, state.goal, self.radius), GOAL), (arm, BODY))
+        return paint((is_near(pixels, state.desired_goal, self.radius), GOAL), (arm, BODY))
 
 
 def make_maze(config: PlaneConfig) -> PointMaze:

@@ -183,7 +183,7 @@ def rows_of(
         observation=laid_out(observations, shape),
         record=laid_out(achieved, shape),
         action=laid_out(np.clip(episodes.actions, -1.0, 1.0), within),
-        goal=laid_out(desired, within),
+        desired_goal=laid_out(desired, within),
         valid=valid,
         terminated=none,
         truncated=laid_out(before_last, within),

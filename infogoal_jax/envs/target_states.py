@@ -106,7 +106,7 @@ class SubgoalState:
     target: jax.Array
 
     node = property(lambda self: self.inner.node)  # Of states on a graph.
-    goal = property(lambda self: self.inner.goal)
+    desired_goal = property(lambda self: self.inner.desired_goal)
     time = property(lambda self: self.inner.time)
     terminated = property(lambda self: self.inner.terminated)
     truncated = property(lambda self: self.inner.truncated)

@@ -192,8 +192,8 @@ def make(config: CHERConfig) -> Relabelling:
             weight=proximity_weight(config, context.updates),
         )
 
-    def choose(key, table, row, step, goal):
-        count, position = goal.shape[0], table.positions[goal]
+    def choose(key, table, row, step, desired_goal):
+        count, position = desired_goal.shape[0], table.positions[desired_goal]
         distance = proximity_distances(position, table.achieved[row, step + 1], table.positions)
         if config.proximity_unit == "mean":
             distance = distance / (distance.mean() + TINY)
@@ -202,7 +202,7 @@ def make(config: CHERConfig) -> Relabelling:
             return pick_nearest(neighbour_weights(position), table.weight * distance, places)
         return pick_dense(dense_similarity(position), table.weight * distance, places)
 
-    def relabel(key, table, row, step, goal):
-        return proposing.relabel(key, table.proposals, row, step, goal)
+    def relabel(key, table, row, step, desired_goal):
+        return proposing.relabel(key, table.proposals, row, step, desired_goal)
 
     return Relabelling(prepare, relabel, choose, CANDIDATES)

@@ -153,11 +153,12 @@ def make(config: GHRLConfig) -> Relabelling:
         start = her.episode_starts(context.rows)
         return table.replace(hit=jnp.where(jnp.take_along_axis(accepted(context, table), start, axis=1), table.hit, -1))
 
-    def relabel(key, table, row, step, goal):
+    def relabel(key, table, row, step, desired_goal):
         random_key, choose_key = jax.random.split(key)
-        anything = her.any_known(random_key, table.known, goal)
-        drawn = jax.random.uniform(choose_key, goal.shape, jnp.float32)
-        goal = jnp.where((drawn < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
-        return jnp.where(drawn >= 1.0 - config.random_share, anything, goal)
+        anything = her.any_known(random_key, table.known, desired_goal)
+        drawn = jax.random.uniform(choose_key, desired_goal.shape, jnp.float32)
+        is_hit = (drawn < config.share) & (step < table.hit[row, step])
+        desired_goal = jnp.where(is_hit, table.goal[row, step], desired_goal)
+        return jnp.where(drawn >= 1.0 - config.random_share, anything, desired_goal)
 
     return Relabelling(prepare, relabel)

@@ -208,13 +208,13 @@ def relabel_shares(later_goal: Callable, share: float, random_share: float) -> C
     """The `relabel` of a `Relabelling`: a share of the transitions gets what `later_goal` draws, if anything, and a
     share any known goal. later_goal: (key, table, row, step) -> [B, *shape], "no goal" for none."""
 
-    def relabel_goals(key, table, row, step, goal):
+    def relabel_goals(key, table, row, step, desired_goal):
         later_key, random_key, choose_key = jax.random.split(key, 3)
         later = later_goal(later_key, table, row, step)
-        anything = any_known(random_key, table.known, goal)
+        anything = any_known(random_key, table.known, desired_goal)
         drawn = jax.random.uniform(choose_key, row.shape, jnp.float32)
-        goal = select((drawn < share) & is_goal(later), later, goal)
-        return select(drawn >= 1.0 - random_share, anything, goal)
+        desired_goal = select((drawn < share) & is_goal(later), later, desired_goal)
+        return select(drawn >= 1.0 - random_share, anything, desired_goal)
 
     return relabel_goals
 

@@ -75,23 +75,25 @@ def until_the_end(discount: jax.Array):
 def make(config: MixedConfig) -> Relabelling:
     """The mixture of this configuration."""
 
-    def mixture(key, table, row, step, goal, current: float, future: float, geometric: bool):
+    def mixture(key, table, row, step, desired_goal, current: float, future: float, geometric: bool):
         keys = jax.random.split(key, 4)
         achieved = table.achievements
         later = future_goal(keys[0], achieved, row, step, table.later(geometric))
         now = pairs.choose_goal(keys[1], achieved.goals[row, step])
         drawn = jax.random.uniform(keys[3], row.shape, jnp.float32)
-        found = select((drawn < current + future) & is_goal(later), later, any_known(keys[2], achieved.known, goal))
-        found = select((drawn < current + future) & ~is_goal(later), goal, found)
+        anything = any_known(keys[2], achieved.known, desired_goal)
+        found = select((drawn < current + future) & is_goal(later), later, anything)
+        found = select((drawn < current + future) & ~is_goal(later), desired_goal, found)
         return select((drawn < current) & is_goal(now), now, found)
 
-    def relabel(key, table, row, step, goal):
-        return mixture(key, table, row, step, goal, config.current_share, config.future_share, config.geometric)
+    def relabel(key, table, row, step, desired_goal):
+        return mixture(key, table, row, step, desired_goal, config.current_share, config.future_share, config.geometric)
 
-    def actor_goal(key, table, row, step, goal):
-        return mixture(key, table, row, step, goal, 0.0, config.actor_future_share, config.actor_geometric), None
+    def actor_goal(key, table, row, step, desired_goal):
+        future, geometric = config.actor_future_share, config.actor_geometric
+        return mixture(key, table, row, step, desired_goal, 0.0, future, geometric), None
 
-    def actor_goal_with_waypoints(key, table, row, step, goal):
+    def actor_goal_with_waypoints(key, table, row, step, desired_goal):
         keys, achieved = jax.random.split(key, 6), table.achievements
         place, found = future_place(keys[0], achieved, row, step, table.later(config.actor_geometric))
         from_episode = found & (jax.random.uniform(keys[1], row.shape, jnp.float32) < config.actor_future_share)
@@ -100,12 +102,12 @@ def make(config: MixedConfig) -> Relabelling:
 
         def achieved_at(key, step):
             there = pairs.choose_goal(key, achieved.goals[row, step])
-            return select(is_goal(there), there, goal)
+            return select(is_goal(there), there, desired_goal)
 
-        anything = any_known(keys[2], achieved.known, goal)
+        anything = any_known(keys[2], achieved.known, desired_goal)
         low_step, high_step = jnp.minimum(ahead, end), jnp.minimum(ahead, of_goal)
-        desired_goal = select(from_episode, achieved_at(keys[3], of_goal), anything)
-        return desired_goal, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
+        of_actor = select(from_episode, achieved_at(keys[3], of_goal), anything)
+        return of_actor, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
 
     def prepare(context: Context) -> Table:
         return Table(context.achievements, context.discount)

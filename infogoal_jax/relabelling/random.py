@@ -19,9 +19,9 @@ class RandomConfig:
 def make(config: RandomConfig) -> Relabelling:
     """The relabelling."""
 
-    def relabel(key, known, row, step, goal):
+    def relabel(key, known, row, step, desired_goal):
         known_key, choose_key = jax.random.split(key)
-        anything = her.any_known(known_key, known, goal)
-        return select(draw_chance(choose_key, 0.5, axes_of(goal)), anything, goal)
+        anything = her.any_known(known_key, known, desired_goal)
+        return select(draw_chance(choose_key, 0.5, axes_of(desired_goal)), anything, desired_goal)
 
     return Relabelling(prepare=lambda context: context.achievements.known, relabel=relabel)

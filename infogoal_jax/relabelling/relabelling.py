@@ -52,8 +52,8 @@ class Context(NamedTuple):
     goal_codes: Callable[[], jax.Array]
     """() -> float32 [N, d], mean codes of the goals of a finite set with the epoch's first parameters."""
     value: Callable[[Any, jax.Array], jax.Array]
-    """(observation [B, ...], goal [B, *shape]) -> float32 [B], value of the agent's policy with the epoch's first
-    parameters."""
+    """(observation [B, ...], desired_goal [B, *shape]) -> float32 [B], value of the agent's policy with the epoch's
+    first parameters."""
     reached: Callable[[Any, jax.Array], jax.Array]
     """(record [...], goal [..., *shape]) -> bool [...], as the environment decides."""
     discount: jax.Array
@@ -80,11 +80,11 @@ class Relabelling(NamedTuple):
     prepare: Callable[[Context], Any]
     """(context: Context) -> table: what the draws of an epoch need, a pytree."""
     relabel: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array]
-    """(key, table, row int32 [B], step int32 [B], goal [B, *shape]) -> goal [B, *shape], for transitions that start at
-    these rows and steps."""
+    """(key, table, row int32 [B], step int32 [B], desired_goal [B, *shape]) -> desired_goal [B, *shape], for
+    transitions that start at these rows and steps."""
     choose: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
-    """(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions to learn from; None:
-    all."""
+    """(key, table, row, step, desired_goal) -> int32 [B / candidates]: which of the relabelled transitions to learn
+    from; None: all."""
     candidates: int = 1
     """Transitions drawn for each that is learned from."""
     skip_reached: bool = False

@@ -236,7 +236,7 @@ def drawn_video(
             yield state
             if state.terminated | state.truncated:
                 break
-        reached.append(bool(env.reached(env.achieved(state), state.goal)))
+        reached.append(bool(env.reached(env.achieved(state), state.desired_goal)))
         yield from [state] * fps
 
     def frames() -> Iterator[np.ndarray]:

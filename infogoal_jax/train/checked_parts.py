@@ -209,10 +209,10 @@ def with_relabelling_checks(relabelling: Relabelling | None) -> Relabelling | No
         "give more than 1 with choose, and 1 without",
     )
     each = {
-        "relabel": lambda result, key, table, row, step, goal: checks.returned(
+        "relabel": lambda result, key, table, row, step, desired_goal: checks.returned(
             result, "relabelling.relabel", Spec(row.shape, "int32")
         ),
-        "choose": lambda result, key, table, row, step, goal: checks.returned(
+        "choose": lambda result, key, table, row, step, desired_goal: checks.returned(
             result, "relabelling.choose", Spec((row.shape[0] // candidates,), "int32")
         ),
     }

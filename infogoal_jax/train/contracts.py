@@ -83,7 +83,8 @@ def check_starts(env: Environment, starts: Any, desired_goals: jax.Array) -> Non
     """Raise `UserError` unless `starts` are states [M, S] of the environment for the M desired goals, in their
     order."""
     one = jax.eval_shape(env.reset_to, jax.random.key(0), jax.ShapeDtypeStruct(env.goals.shape, env.goals.dtype))
-    axes, goals = np.shape(starts.goal)[: np.ndim(starts.goal) - len(env.goals.shape)], jnp.shape(desired_goals)
+    shape, goals = np.shape(starts.desired_goal), jnp.shape(desired_goals)
+    axes = shape[: len(shape) - len(env.goals.shape)]
     remedy = f"give states [M, S] of env.reset_to for the {goals[0]} goals, goals first"
     require(len(axes) == 2, "starts", f"states {list(axes)}", remedy)
     if axes[0] != goals[0]:
@@ -92,9 +93,9 @@ def check_starts(env: Environment, starts: Any, desired_goals: jax.Array) -> Non
     several = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*axes, *leaf.shape), leaf.dtype), one)
     require(jax.tree.structure(starts) == jax.tree.structure(one), "starts", type(starts).__name__, remedy)
     checks.same_shapes(starts, several, "starts", "the states of this environment")
-    if checks.is_traced((starts.goal, desired_goals)):
+    if checks.is_traced((starts.desired_goal, desired_goals)):
         return
-    own, asked = np.asarray(starts.goal), np.asarray(desired_goals)
+    own, asked = np.asarray(starts.desired_goal), np.asarray(desired_goals)
     different = np.flatnonzero((own != asked[:, None]).reshape(len(asked), -1).any(1))
     if different.size:
         row = different[0]

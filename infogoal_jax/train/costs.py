@@ -26,10 +26,10 @@ def sample_costs(
     the step. An episode that fails costs for ever. And with the actor's goals."""
     buffer = experience.buffer
     before = jax.tree.map(lambda leaf: leaf[row, step], buffer.record)
-    at_goal = setup.env.reached(before, batch.goal)
+    at_goal = setup.env.reached(before, batch.desired_goal)
     failed = jnp.zeros_like(at_goal) if buffer.failed is None else buffer.failed[row, step]
     cost = jnp.where(failed, 1.0 / (1.0 - setup.hyper.discount), 1.0)
-    goal, way = setup.parts.relabelling.costs(key, experience.relabelling, row, step, buffer.goal[row, step])
+    goal, way = setup.parts.relabelling.costs(key, experience.relabelling, row, step, buffer.desired_goal[row, step])
     waypoints = None
     if way is not None:
         waypoints = way.low_goal, way.goal, jax.tree.map(lambda leaf: leaf[row, way.step], buffer.observation)

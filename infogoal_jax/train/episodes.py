@@ -40,9 +40,9 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
 
     def step(states, step_key):
         finished = states.terminated | states.truncated
-        stepped = jax.vmap(env.step)(states, policy(env.observe(states), states.goal, step_key))
+        stepped = jax.vmap(env.step)(states, policy(env.observe(states), states.desired_goal, step_key))
         following = chosen(finished, states, stepped)
-        at_goal = () if env.ends_at_goal else env.reached(env.achieved(following), following.goal)
+        at_goal = () if env.ends_at_goal else env.reached(env.achieved(following), following.desired_goal)
         return following, (env.observe(following), at_goal)
 
     states, (observations, at_goal) = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))

@@ -89,7 +89,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     policy = checked_policy(env, policy)
     seed, is_view = checks.seed(seed), isinstance(goals, GoalView)
     desired_goals = env.goals.checked(goals.goals if is_view else goals, "goals", axes=1)
-    if hasattr(starts, "goal"):
+    if hasattr(starts, "desired_goal"):
         check_starts(env, starts, desired_goals)
         states = starts
     else:
@@ -114,7 +114,7 @@ def run_side_by_side(
 
     def shown_to_all(goals):
         if not isinstance(goals, GoalView):
-            return starts.goal
+            return starts.desired_goal
         return jax.tree.map(lambda leaf: flat(jnp.broadcast_to(leaf, (*shape, *leaf.shape[2:]))), goals.shown)
 
     def act(observation, goal, key):

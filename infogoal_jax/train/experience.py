@@ -69,7 +69,7 @@ def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[T
     ended, reached = jnp.maximum(terminated + truncated, 1), terminated
     if not env.ends_at_goal:
         led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
-        reached = (rows.truncated & env.reached(led_to, rows.goal)).sum(dtype=jnp.int32)
+        reached = (rows.truncated & env.reached(led_to, rows.desired_goal)).sum(dtype=jnp.int32)
     counts = {}
     if not env.goals.finite:  # A step that diverged is marked invalid, and ends its episode.
         counts["collect/diverged"] = (~rows.valid & rows.truncated).sum(dtype=jnp.int32)
@@ -90,7 +90,7 @@ def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> Tr
         agent=parts.agent.observe(state.agent, rows),
         env_steps=state.env_steps + rows.valid.sum(dtype=jnp.int32),
         learner=learner.observe(
-            state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
+            state.learner, NewSteps(rows.desired_goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
         ),
     )
     if env.goals.finite:
@@ -126,7 +126,7 @@ def usable_goals(setup: Setup, record: jax.Array) -> jax.Array:
 
 def external_reward(env: Environment, transitions: Transitions) -> jax.Array:
     """The environment's reward for each step, float32 [B, n] (Eq. 5): 1 for reaching the desired goal."""
-    return env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
+    return env.reached(transitions.records, transitions.desired_goal[:, None]).astype(jnp.float32)
 
 
 def make_experience(setup: Setup, state: TrainState, number: jax.Array) -> tuple[Experience, TrainState]:

@@ -19,13 +19,13 @@ class RelabelledBatch:
     """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their
     rewards, as changes.
 
-    goal: [B, *shape].
+    desired_goal: [B, *shape].
     next_observation: [B, ...].
     mask, external: float32 [B, n].
     terminated: bool [B].
     """
 
-    goal: jax.Array
+    desired_goal: jax.Array
     next_observation: jax.Array
     mask: jax.Array
     terminated: jax.Array
@@ -38,15 +38,15 @@ def with_relabelled_goals(
     """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
     they are given."""
     relabelling, (relabel_key, choose_key) = setup.parts.relabelling, jax.random.split(key)
-    desired_goal = experience.buffer.goal[row, step]
-    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired_goal)
+    collected_goal = experience.buffer.desired_goal[row, step]
+    desired_goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, collected_goal)
     if relabelling.skip_reached:
         before = jax.tree.map(lambda leaf: leaf[row, step], experience.buffer.record)
-        goal = select(setup.env.reached(before, goal), desired_goal, goal)
+        desired_goal = select(setup.env.reached(before, desired_goal), collected_goal, desired_goal)
     if relabelling.choose is None:
-        return row, step, goal
-    kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)
-    return row[kept], step[kept], goal[kept]
+        return row, step, desired_goal
+    kept = relabelling.choose(choose_key, experience.relabelling, row, step, desired_goal)
+    return row[kept], step[kept], desired_goal[kept]
 
 
 def relabel_for_learner(
@@ -61,10 +61,10 @@ def relabel_for_learner(
     """The transitions that start at these rows and steps [B] under the goals of the learner's own relabelling. ends: as
     `replay.transitions_at` takes it."""
     relabelling, num_steps = setup.parts.learner.sample_spec.relabelling, setup.parts.agent.num_steps
-    goal = relabelling.relabel(key, experience.learner_relabelling, row, step, desired_goal)
-    found = replay.transitions_at(experience.buffer, row, step, num_steps, goal, ends)
+    relabelled_goal = relabelling.relabel(key, experience.learner_relabelling, row, step, desired_goal)
+    found = replay.transitions_at(experience.buffer, row, step, num_steps, relabelled_goal, ends)
     return RelabelledBatch(
-        found.goal, found.next_observation, found.mask, found.terminated, external_reward(setup.env, found)
+        found.desired_goal, found.next_observation, found.mask, found.terminated, external_reward(setup.env, found)
     )
 
 

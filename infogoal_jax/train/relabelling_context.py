@@ -26,11 +26,10 @@ def relabelling_context(
     def goal_codes():
         return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
 
-    def value(observation, goal):
-        features = encode_states(setup, state.params, goal.shape[0])(observation)
-        code = conditioned(
-            learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features
-        )
+    def value(observation, desired_goal):
+        features = encode_states(setup, state.params, desired_goal.shape[0])(observation)
+        code = learner.encode(state.params["goal"], env.goals.inputs_of(desired_goal))
+        code = conditioned(learner, state.params["goal"], code, features)
         return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
 
     return Context(

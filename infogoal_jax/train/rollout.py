@@ -26,10 +26,10 @@ def policy(
     parts, _, env = setup
     see = encode_states(setup, params, parts.config.num_envs * parts.config.rollout_steps)
 
-    def act(observation, goal, key):
+    def act(observation, desired_goal, key):
         sample_key, act_key = jax.random.split(key)
         features = see(observation)
-        code = conditioned(parts.learner, params["goal"], encode(goal), features)
+        code = conditioned(parts.learner, params["goal"], encode(desired_goal), features)
         code = jnp.where(jnp.expand_dims(use_mean, -1), code.mean, code.sample(sample_key))
         return parts.agent.act(params["agent"], features, code, env.action_mask(observation), act_key, exploration)
 
@@ -72,7 +72,7 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     def step(states, step_key):
         act_key, reset_key = jax.random.split(step_key)
         finished = states.terminated | states.truncated
-        actions = policy(env.observe(states), states.goal, act_key)
+        actions = policy(env.observe(states), states.desired_goal, act_key)
         stepped = jax.vmap(env.step)(states, actions)
         following = restarted(env, finished, stepped, jax.random.split(reset_key, num_envs))
         return following, kept_of_step(env, states, actions, finished, stepped)
@@ -92,7 +92,7 @@ def kept_of_step(env, states, actions: jax.Array, finished: jax.Array, stepped) 
         "observation": env.observe(states),
         "record": env.achieved(states),
         "action": actions,
-        "goal": states.goal,
+        "desired_goal": states.desired_goal,
         "valid": ~finished & ~stepped.diverged,
         "terminated": ~finished & stepped.terminated,
         "truncated": ~finished & stepped.truncated,
@@ -121,7 +121,7 @@ def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
     """The shapes of the rows that `collect` returns, without tracing the environment's step."""
 
     def row(states):
-        actions = policy(env.observe(states), states.goal, jax.random.key(0))
+        actions = policy(env.observe(states), states.desired_goal, jax.random.key(0))
         steps = kept_of_step(env, states, actions, states.terminated, states)
         ends = {"observation": env.observe(states), "record": env.achieved(states)}
         steps = jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps)

@@ -58,16 +58,16 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     parts, _, env = setup
     relabelling = parts.relabelling
     transition_key, relabel_key, pair_key = jax.random.split(key, 3)
-    buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
+    buffer, num_steps, desired_goal = experience.buffer, parts.agent.num_steps, None
     candidates = parts.config.batch_size * (1 if relabelling is None else relabelling.candidates)
     row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
         # Recorded episodes did not end where their goal was reached; what is drawn from them does.
-        goal = buffer.goal[row, step]
+        desired_goal = buffer.desired_goal[row, step]
     if relabelling is not None:
-        row, step, goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
+        row, step, desired_goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
-    transitions = replay.transitions_at(buffer, row, step, num_steps, goal, ends)
+    transitions = replay.transitions_at(buffer, row, step, num_steps, desired_goal, ends)
     drawn = Sample(transitions, external_reward(env, transitions), usable_goals(setup, transitions.records), pairs=None)
     if learns_from_costs(relabelling):
         costs_key = jax.random.fold_in(key, 6)
@@ -79,15 +79,16 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
     if parts.agent.all_goals is not None:
         known, many_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
-        goals, weight = draw_goals(parts.agent.all_goals, known, drawn.achieved, buffer.goal[row, step], many_key)
+        collected = buffer.desired_goal[row, step]
+        goals, weight = draw_goals(parts.agent.all_goals, known, drawn.achieved, collected, many_key)
         drawn = drawn.replace(all_goals=goals, goal_weight=weight)
     if spec.first_seen:
         ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
         led_to = jnp.minimum(step[:, None] + 1 + ahead, buffer.valid.shape[1])
         drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
     if spec.relabelling is not None:
-        key_of_goals, desired_goal = jax.random.fold_in(key, 4), drawn.transitions.goal
-        relabelled = relabel_for_learner(setup, experience, key_of_goals, row, step, desired_goal, ends)
+        key_of_goals, given = jax.random.fold_in(key, 4), drawn.transitions.desired_goal
+        relabelled = relabel_for_learner(setup, experience, key_of_goals, row, step, given, ends)
         drawn = drawn.replace(relabelled=relabelled)
     if parts.explorer is not None:
         drawn = drawn.replace(**steps_explored(experience.bonus, buffer, row, step, num_steps))

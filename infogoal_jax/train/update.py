@@ -34,7 +34,7 @@ def returns(
         encode = GoalEncoding(parts.learner, frozen, env.goals, parts.config.batch_size).of_any()
     else:
         encode = experience.codes.__getitem__
-    visited = Visited(batch.goal, drawn.achieved, env.cell_of(batch.records), batch.mask, drawn.first_seen)
+    visited = Visited(batch.desired_goal, drawn.achieved, env.cell_of(batch.records), batch.mask, drawn.first_seen)
     intrinsic, learner_state = parts.learner.intrinsic_reward(learner_state, encode, visited)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     if drawn.bonus is not None:
@@ -72,7 +72,7 @@ def agent_batch(
         encoding = goal_encoding(setup, given, view_key)
         return encoding.of_desired_goals() if parts.relabelling is None else encoding.of_any()
 
-    code, target_code = (table or encode(params))(batch.goal), encode(target_params)(batch.goal)
+    code, target_code = (table or encode(params))(batch.desired_goal), encode(target_params)(batch.desired_goal)
     features, next_features, target_features = (
         see(batch.observation),
         see(batch.next_observation),
@@ -112,13 +112,13 @@ def steps_to_learn_from(setup: Setup, params: dict, drawn: Sample, codes: AgentB
     hyper = setup.hyper
     if drawn.relabelled is None:
         reward = discounted(drawn.external, drawn.transitions, hyper)
-        return drawn.transitions.goal, Steps(codes.features, codes.next_features, reward, codes.discount)
+        return drawn.transitions.desired_goal, Steps(codes.features, codes.next_features, reward, codes.discount)
     relabelled = drawn.relabelled
     following = jax.lax.stop_gradient(
         encode_states(setup, params, 2 * setup.config.batch_size)(relabelled.next_observation)
     )
     reward = discounted(relabelled.external, relabelled, hyper)
-    return relabelled.goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
+    return relabelled.desired_goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
 
 
 def features_of_goals(setup: Setup, params: dict) -> Callable[[jax.Array], jax.Array]:

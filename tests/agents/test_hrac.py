@@ -145,7 +145,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     reward, after, metrics, made = transitions()
 
     record, mean = np.asarray(rows.record), np.asarray(codes.mean)
-    goal, position = np.asarray(rows.goal), np.asarray(env.unwrapped.positions)
+    goal, position = np.asarray(rows.desired_goal), np.asarray(env.unwrapped.positions)
     grid = position[: len(position) - len(env.goals.evaluated)]
     achieved = np.linalg.norm(record[:, :, None] - grid, axis=-1).argmin(-1)
     assert (env.goals_of(rows.record) >= 0).all()

@@ -79,8 +79,8 @@ def test_reaching_the_goal_ends_the_episode_as_done_and_not_as_truncated(brax_re
     _, reset, step = brax_reach
     state = reset(jax.random.split(jax.random.PRNGKey(1), 3))
     inner = state.pipeline_state.fetch
-    goals = inner.goal.at[0].set(inner.observation[0, :3])
-    state = state.replace(pipeline_state=state.pipeline_state.replace(fetch=inner.replace(goal=goals)))
+    goals = inner.desired_goal.at[0].set(inner.observation[0, :3])
+    state = state.replace(pipeline_state=state.pipeline_state.replace(fetch=inner.replace(desired_goal=goals)))
     after = step(state, jnp.zeros((3, 4)))
     assert (
         after.done[0] == 1
@@ -123,7 +123,7 @@ def test_the_viewer_s_page_shows_the_robot_its_motion_and_the_goal(brax_reach, b
     assert {"Box", "Capsule", "Sphere", "Plane"} <= set(shapes) and len(shapes) > 12
     assert len(scene["states"]["x"]) == 4 and scene["opt"]["timestep"] == pytest.approx(0.04)
     goal = scene["geoms"]["goal"][0]["link_idx"]
-    assert np.allclose(scene["states"]["x"][0]["pos"][goal], states[0].pipeline_state.fetch.goal)
+    assert np.allclose(scene["states"]["x"][0]["pos"][goal], states[0].pipeline_state.fetch.desired_goal)
     assert len(html.render(env.sys, [state.pipeline_state for state in states])) > 3000
     for given, message in (([], "at least one"), (brax_states[:2], "batch")):
         with pytest.raises(UserError, match=message):

@@ -309,7 +309,7 @@ def test_rows_hold_every_step_of_every_episode_once_and_none_across_two():
     left = np.asarray(steps_left(task.recorded.valid))[row, step]
     ends = np.array([ENDS[np.searchsorted(ENDS, place)] for place in before])
     assert np.array_equal(left, ends - before)
-    goals = {tuple(goal) for goal in rows.goal[rows.valid].tolist()}
+    goals = {tuple(goal) for goal in rows.desired_goal[rows.valid].tolist()}
     assert len(goals) == len(LENGTHS)  # One for each episode, where none is recorded.
 
 
@@ -317,7 +317,7 @@ def test_goals_of_a_goal_env_are_taken_as_they_are():
     goals = {"achieved_goals": SIDE, "desired_goals": SIDE + 1}
     rows = with_recordings(maze(), of_arrays(recorded(observations=SIDE, actions=SIDE, **goals))).recorded
     assert np.array_equal(rows.record, rows.observation)
-    assert np.allclose(np.asarray(rows.goal)[rows.valid], np.asarray(rows.observation)[:, :-1][rows.valid] + 1)
+    assert np.allclose(np.asarray(rows.desired_goal)[rows.valid], np.asarray(rows.observation)[:, :-1][rows.valid] + 1)
 
 
 @pytest.mark.parametrize(
@@ -345,9 +345,8 @@ def recorded_in(rows: Trajectories) -> Episodes:
     kept = led_to | goes_on
     action = np.pad(rows.action, ((0, 0), (0, 1), (0, 0)))
     # The last observation of an episode has the goal of the transition that led to it.
-    goal = np.where(
-        goes_on[..., None], np.pad(rows.goal, ((0, 0), (0, 1), (0, 0))), np.pad(rows.goal, ((0, 0), (1, 0), (0, 0)))
-    )
+    before, after = ((0, 0), (0, 1), (0, 0)), ((0, 0), (1, 0), (0, 0))
+    goal = np.where(goes_on[..., None], *(np.pad(rows.desired_goal, places) for places in (before, after)))
     return Episodes(rows.observation[kept], action[kept], ~goes_on[kept], rows.record[kept], goal[kept])
 
 
@@ -367,8 +366,8 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
     def steps(rows):
         row, step = np.nonzero(np.asarray(rows.valid))
         observation = np.asarray(rows.observation)
-        parts = (observation[row, step], rows.action[row, step], observation[row, step + 1], rows.goal[row, step])
-        found = np.concatenate(parts, 1)
+        parts = observation[row, step], rows.action[row, step], observation[row, step + 1]
+        found = np.concatenate([*parts, rows.desired_goal[row, step]], 1)
         return found[np.lexsort(found.T)]
 
     assert np.array_equal(steps(rows), steps(again)) and made.lengths.sum() == rows.valid.sum()

@@ -230,7 +230,8 @@ def test_the_task_keeps_the_contract(own_task):
     env = own_task["env"]
     assert isinstance(env, Environment) and env.discrete and env.recorded is None and not env.has_target_states
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 50))
-    assert not np.any(env.reached(env.achieved(state), state.goal)) and np.all(env.goals.train_mask[state.goal])
+    desired_goal = state.desired_goal
+    assert not np.any(env.reached(env.achieved(state), desired_goal)) and np.all(env.goals.train_mask[desired_goal])
     assert (
         env.action_mask(env.observe(state)).shape == (50, 4)
         and env.action_mask(env.observe(state)).all()

@@ -81,7 +81,7 @@ def test_it_keeps_the_contract():
 def test_every_episode_has_a_goal_and_a_start_of_its_own():
     rows = walk(line_task(), stay, 4 * (EPISODE + 1))
     first = np.asarray(jnp.arange(rows.valid.shape[1]) % (EPISODE + 1) == 0)
-    goals, places = np.asarray(rows.goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
+    goals, places = np.asarray(rows.desired_goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
     assert np.unique(goals).size == goals.size == np.unique(places).size == 16
 
 
@@ -101,7 +101,7 @@ def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leav
     place = np.asarray(state.world.pipeline_state)
     seen = jax.jit(task.observe)(state)  # Of goal, pair, place, way.
     assert np.allclose(seen, [place[0], place[0] ** 2, place[0]]) and seen.dtype == jnp.float32
-    assert np.array_equal(state.goal, state.world.info["goal"])
+    assert np.array_equal(state.desired_goal, state.world.info["goal"])
     of_goal = jax.jit(lambda goal: task.observe(task.reset_to(KEYS[1], goal)))
     told = [of_goal(np.array([goal], np.float32)) for goal in (-1.0, 1.0)]
     assert np.array_equal(*told)
@@ -118,7 +118,9 @@ def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leav
 def test_places_keys_and_functions_read_the_same(reading):
     task = envs.from_brax(Line(), **(ARGUMENTS | reading))
     one, other = (each.reset(KEYS[2]) for each in (task, line_task()))
-    assert np.array_equal(task.observe(one), line_task().observe(other)) and np.array_equal(one.goal, other.goal)
+    assert np.array_equal(task.observe(one), line_task().observe(other)) and np.array_equal(
+        one.desired_goal, other.desired_goal
+    )
     assert np.array_equal(task.achieved(one), line_task().achieved(other))
 
 
@@ -149,7 +151,7 @@ def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
         row, step = np.nonzero(np.asarray(rows.truncated))
         for goal, reached in ((None, None), (jnp.full((len(row), 1), 9.0), line_task().reached)):
             judged = functools.partial(
-                replay.transitions_at, row=row, first=step, num_steps=1, goal=goal, reached=reached
+                replay.transitions_at, row=row, first=step, num_steps=1, desired_goal=goal, reached=reached
             )
             found = jax.jit(judged)(rows).terminated
             assert np.array_equal(found, np.asarray(rows.failed)[row, step])
@@ -161,7 +163,7 @@ def test_goals_are_the_environments_own_uniform_or_some_held_out():
     wide = envs.from_brax(Line(), low=[-3.0], high=[3.0], num_evaluated=200, **ARGUMENTS)
     assert np.abs(np.asarray(wide.goals.evaluated)).max() > 2.5
     apart = envs.from_brax(Line(), held_out=lambda goal: goal[0] > 0, **ARGUMENTS)
-    desired = np.asarray(jax.jit(jax.vmap(apart.reset))(jax.random.split(KEYS[4], 200)).goal)
+    desired = np.asarray(jax.jit(jax.vmap(apart.reset))(jax.random.split(KEYS[4], 200)).desired_goal)
     assert apart.goals.groups == ("train", "test") and (desired <= 0).all() and np.unique(desired).size > 150
 
 
@@ -374,9 +376,9 @@ def test_ant_of_jaxgcrl_is_itself():
     task = envs.from_jaxgcrl("ant")
     state = jax.jit(task.reset)(KEYS[0])
     assert task.radius == 0.5 and task.episode_length == 1001 and len(task.shown) == 29 and task.action_size == 8
-    assert np.linalg.norm(state.goal) == pytest.approx(10.0, abs=1e-3)
+    assert np.linalg.norm(state.desired_goal) == pytest.approx(10.0, abs=1e-3)
     assert np.array_equal(task.achieved(state), task.observe(state)[:2])
-    assert np.array_equal(task.goals.inputs_of(state.goal), state.goal)
+    assert np.array_equal(task.goals.inputs_of(state.desired_goal), state.desired_goal)
 
 
 def skip_without(package: str) -> None:

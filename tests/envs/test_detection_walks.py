@@ -45,8 +45,8 @@ def test_a_grey_image_that_is_seen_is_drawn_in_three_equal_colours(house):
 
 def test_episodes_start_with_the_goal_out_of_view_and_a_training_goal(house):
     states = jax.jit(jax.vmap(house.reset))(jax.random.split(jax.random.key(0), 500))
-    assert not house.reached(states.node, states.goal).any()
-    np.testing.assert_array_equal(np.unique(states.goal), np.flatnonzero(np.asarray(house.goals.train_mask)))
+    assert not house.reached(states.node, states.desired_goal).any()
+    np.testing.assert_array_equal(np.unique(states.desired_goal), np.flatnonzero(np.asarray(house.goals.train_mask)))
     assert len(np.unique(states.node)) > 40
 
 
@@ -216,8 +216,8 @@ def test_flights_become_rows(env):
     np.testing.assert_array_equal(np.asarray(rows.observation)[data.trajectory, data.time], data.frame)
     np.testing.assert_array_equal(np.asarray(rows.observation)[data.trajectory, data.time + 1], data.next_frame)
     np.testing.assert_array_equal(np.asarray(rows.action)[data.trajectory, data.time], data.action)
-    assert bool(env.goals.train_mask[rows.goal].all()) and not rows.terminated.any()
-    assert (rows.goal == rows.goal[:, :1]).all()
+    assert bool(env.goals.train_mask[rows.desired_goal].all()) and not rows.terminated.any()
+    assert (rows.desired_goal == rows.desired_goal[:, :1]).all()
 
 
 def moves_of(data, rows) -> dict[str, np.ndarray]:
@@ -335,10 +335,10 @@ def test_questions_of_the_test_are_never_learned_from(env):
 
     drawn = draws(state, jax.random.split(jax.random.key(1), 50))
     hidden = np.asarray(env.goals.validation_mask | env.goals.test_mask)
-    used = (drawn.transitions.goal, drawn.pairs.anchor, drawn.pairs.positive, drawn.pairs.negative)
+    used = (drawn.transitions.desired_goal, drawn.pairs.anchor, drawn.pairs.positive, drawn.pairs.negative)
     for goals in used:
         assert not hidden[np.asarray(goals)].any()
-    assert len(np.unique(drawn.transitions.goal)) == int((~hidden).sum())  # All others come up.
+    assert len(np.unique(drawn.transitions.desired_goal)) == int((~hidden).sum())  # All others come up.
 
 
 def test_goals_have_names(house):

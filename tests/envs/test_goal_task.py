@@ -54,7 +54,7 @@ def changed(**members):
 class Timeless:
     """A state without a time."""
 
-    goal: jax.Array
+    desired_goal: jax.Array
     terminated: jax.Array
     truncated: jax.Array
     diverged: jax.Array
@@ -286,7 +286,7 @@ def test_an_episode_keeps_what_the_task_does_not():
     """Time, its end, and no start at the goal."""
     env = Square(GOALS, radius=0.5, episode_length=2)
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 200))
-    assert isinstance(states, Episode) and not np.any(env.reached(env.achieved(states), states.goal))
+    assert isinstance(states, Episode) and not np.any(env.reached(env.achieved(states), states.desired_goal))
     still = np.zeros((200, 2), np.float32)
     step = jax.jit(jax.vmap(env.step))
     once = step(states, still)

@@ -50,6 +50,6 @@ def test_an_evaluation_starts_near_and_a_turn_ends_where_it_began(env):
 
 def test_training_asks_for_targets_near_and_far_that_are_not_reached_yet(env):
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 500))
-    turn = np.abs(wrapped(states.goal - env.achieved(states))).max(1)
+    turn = np.abs(wrapped(states.desired_goal - env.achieved(states))).max(1)
     assert (turn < joint_targets.FARTHEST).all() and (turn >= env.radius).mean() > 0.99  # Of eight draws one is.
     assert (turn > 0.8 * joint_targets.FARTHEST).any() and (turn < 1.5 * env.radius).any()

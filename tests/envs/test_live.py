@@ -107,10 +107,10 @@ def test_an_episode_is_the_one_that_the_environment_plays_alone(kind):
         assert not state.truncated and state.time == number
         whole = np.concatenate([seen["achieved_goal"], seen["observation"]]).astype(np.float32)
         assert np.array_equal(task.observe(state), whole)
-        assert np.array_equal(state.goal, seen["desired_goal"].astype(np.float32))
+        assert np.array_equal(state.desired_goal, seen["desired_goal"].astype(np.float32))
         state = step(state, action)
         seen, _, _, truncated, info = alone.step(action)
-        assert bool(task.reached(task.achieved(state), state.goal)) == info["is_success"]
+        assert bool(task.reached(task.achieved(state), state.desired_goal)) == info["is_success"]
         successes.add(info["is_success"])
     assert truncated and state.truncated and not state.terminated and not task.failed(state)
 
@@ -125,7 +125,7 @@ def test_success_is_the_environments_own():
     for _ in range(LIMIT):
         state = step(state, np.array([1, 0], np.float32))
         told.append(alone.step(np.array([1, 0], np.float32))[-1]["is_success"])
-        assert bool(task.reached(task.achieved(state), state.goal)) == told[-1]
+        assert bool(task.reached(task.achieved(state), state.desired_goal)) == told[-1]
     assert 0 < sum(told) < LIMIT
 
 
@@ -153,12 +153,11 @@ def test_rows_do_not_know_of_each_other(kind):
 def test_resets_and_goals_are_drawn_anew_by_the_key():
     task = task_of(Mass)
     states = jax.jit(jax.vmap(task.reset))(KEYS)
-    assert (
-        len({*map(tuple, np.asarray(states.goal).tolist())}) == len(KEYS) == len(np.unique(states.world.bytes, axis=0))
-    )
+    goals = {*map(tuple, np.asarray(states.desired_goal).tolist())}
+    assert len(goals) == len(KEYS) == len(np.unique(states.world.bytes, axis=0))
     assert task.goals.evaluated.shape == (4, 2) and (np.abs(task.goals.evaluated) <= 1).all()
     asked = jax.jit(task.reset_to)(KEYS[0], jnp.array([0.5, -0.5]))
-    assert np.array_equal(asked.goal, [0.5, -0.5]) and np.abs(task.achieved(asked)).max() < 0.2
+    assert np.array_equal(asked.desired_goal, [0.5, -0.5]) and np.abs(task.achieved(asked)).max() < 0.2
 
 
 def test_ends_of_an_episode_are_told_apart():

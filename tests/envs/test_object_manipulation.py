@@ -225,7 +225,7 @@ def test_agents_see_the_codes_of_their_goals(env, relabelling):
         observation=observation,
         next_observation=observation,
         action=jnp.zeros(count, jnp.int32),
-        goal=goal,
+        desired_goal=goal,
         records=jnp.zeros((count, 1), jnp.int32),
         mask=jnp.ones((count, 1)),
         terminated=jnp.zeros(count, bool),

@@ -58,9 +58,9 @@ def test_an_episode_has_its_types_whatever_jax_is_set_to(task, mode):
 def test_an_episode_in_the_plane_ends_at_its_goal(task):
     env = envs.load(task)
     step, state = jax.jit(env.step), jax.jit(env.reset)(jax.random.key(0))
-    there = state.replace(goal=env.achieved_goal(state.world))
+    there = state.replace(desired_goal=env.achieved_goal(state.world))
     after = step(there, np.zeros(2, np.float32))
-    assert after.terminated and not after.truncated and not env.reached(env.achieved(state), state.goal)
+    assert after.terminated and not after.truncated and not env.reached(env.achieved(state), state.desired_goal)
     broken = step(state.replace(world=state.world * np.float32(np.nan)), np.zeros(2, np.float32))
     assert broken.diverged and broken.truncated and not broken.terminated
 

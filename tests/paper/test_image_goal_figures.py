@@ -135,7 +135,9 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
     assert path.shape == (4, env.episode_length + 1, 3)
     nearest = np.linalg.norm(path - np.asarray(env.unwrapped.positions)[goals][:, None], axis=-1).min(1)
     np.testing.assert_array_equal(nearest < 0.05, clean.success)
-    np.testing.assert_array_equal(np.asarray(clean.observations.goal)[:, 0], np.asarray(env.unwrapped.positions)[goals])
+    np.testing.assert_array_equal(
+        np.asarray(clean.observations.desired_goal)[:, 0], np.asarray(env.unwrapped.positions)[goals]
+    )
     np.testing.assert_array_equal(path, env.unwrapped.robot.achieved(again.observations))
     assert not np.array_equal(path, env.unwrapped.robot.achieved(corrupted.observations))
 

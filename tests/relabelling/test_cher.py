@@ -156,7 +156,7 @@ def choice(config, scale: float = 1.0, updates: int = 0):
     relabelling = cher.make(config)
     table = relabelling.prepare(context(rows, goal_positions=positions, updates=updates))
     row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), 128, STEPS)
-    goal = relabelling.relabel(jax.random.key(1), table, row, step, rows.goal[row, step])
+    goal = relabelling.relabel(jax.random.key(1), table, row, step, rows.desired_goal[row, step])
     chosen = relabelling.choose(jax.random.key(2), table, row, step, goal)
     return (
         chosen,

@@ -49,7 +49,7 @@ def relabelled(rows: Trajectories, config, known=None, name: str = "her"):
     def drawn(rows, known):
         row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), DRAWS, STEPS)
         table = relabelling.prepare(context(rows, known=known))
-        return row, step, relabelling.relabel(jax.random.key(1), table, row, step, rows.goal[row, step])
+        return row, step, relabelling.relabel(jax.random.key(1), table, row, step, rows.desired_goal[row, step])
 
     return [np.asarray(part) for part in drawn(rows, known)]
 
@@ -184,15 +184,15 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     plain, told = drawn[0.0], drawn[1.0].relabelled
     assert plain.relabelled is None
     jax.tree.map(np.testing.assert_array_equal, plain.transitions, drawn[1.0].transitions)
-    changed = np.asarray(told.goal != plain.transitions.goal)
+    changed = np.asarray(told.desired_goal != plain.transitions.desired_goal)
     assert changed.mean() > 0.3 and told.terminated.sum() > plain.transitions.terminated.sum()
     np.testing.assert_array_equal(told.terminated, (told.external * told.mask).any(1))
 
-    features = jnp.ones((len(told.goal), 4))
+    features = jnp.ones((len(told.desired_goal), 4))
     codes = SimpleNamespace(features=features, next_features=2 * features, reward=None, discount=None)
     learned = jax.jit(lambda params, drawn: update.steps_to_learn_from(train.setup(), params, drawn, codes))
     goal, steps = learned(state.params, drawn[1.0])
-    np.testing.assert_array_equal(goal, told.goal)
+    np.testing.assert_array_equal(goal, told.desired_goal)
     taken = np.asarray(told.mask.sum(1))
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
@@ -237,7 +237,7 @@ def test_goals_reached_before_a_transition_can_be_left_out():
     record = jnp.array([[[0.0], [0.0], [1.0]]])
     drawn, desired = jnp.array([[0.0], [1.0], [0.0]]), jnp.full((1, 2, 1), 5.0)
     env = SimpleNamespace(reached=lambda record, goal: jnp.abs(record - goal)[..., 0] < 0.1)
-    experience = SimpleNamespace(buffer=SimpleNamespace(record=record, goal=desired), relabelling=None)
+    experience = SimpleNamespace(buffer=SimpleNamespace(record=record, desired_goal=desired), relabelling=None)
     row, step = jnp.zeros(3, jnp.int32), jnp.array([0, 0, 1], jnp.int32)
     for skip, expected in ((False, [0.0, 1.0, 0.0]), (True, [5.0, 1.0, 5.0])):
         relabelling = Relabelling(None, lambda *_: drawn, skip_reached=skip)

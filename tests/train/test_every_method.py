@@ -159,7 +159,7 @@ def test_the_physics_is_the_same_whatever_jax_is_set_to(task):
         env = envs.load(task, FetchConfig(goals="positions"))
         before = env.reset(key)
         after = env.step(before, jnp.zeros(4, jnp.float32))
-        return before, after, env.observe(after), env.reached(env.achieved(after), after.goal)
+        return before, after, env.observe(after), env.reached(env.achieved(after), after.desired_goal)
 
     with nothing_promoted():
         plain = jax.eval_shape(stepped, jax.random.key(0))

@@ -74,7 +74,7 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
     # Never achieved: the grid is.
     assert sweep.state.dissimilarity[:, goals.evaluated].sum() == 2 * len(goals.evaluated) * (goals.num_goals - 1)
     buffer = sweep.state.buffer
-    desired = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
+    desired = np.unique(np.asarray(buffer.desired_goal)[np.asarray(buffer.valid)])
     np.testing.assert_array_equal(desired, goals.training_goals)
 
 
@@ -94,7 +94,7 @@ def test_first_updates_of_vmapped_seeds_equal_single_runs(method):
     keys = jax.random.split(jax.random.key(5), 3)
     together, alone = jax.jit(jax.vmap(train))(keys), jax.jit(train)(keys[1])
     same = jax.tree.map(lambda leaf: leaf[1], together)
-    for name in ("goal", "valid", "terminated", "truncated", "decided"):
+    for name in ("desired_goal", "valid", "terminated", "truncated", "decided"):
         np.testing.assert_array_equal(getattr(same.state.buffer, name), getattr(alone.state.buffer, name))
     np.testing.assert_allclose(same.state.buffer.observation, alone.state.buffer.observation, atol=1e-5)
     np.testing.assert_array_equal(same.state.agent, alone.state.agent)

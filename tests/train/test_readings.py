@@ -19,7 +19,7 @@ from infogoal_jax.train.experience import first_dissimilarity
 @pytest.mark.parametrize(("desired_goals", "groups"), [("training", 1), ("all", 2)])
 def test_episodes_are_for_training_goals_or_for_all_that_are_evaluated(desired_goals, groups):
     env = load_environment(config(desired_goals=desired_goals), environment())
-    goals = np.unique(jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 200)).goal)
+    goals = np.unique(jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 200)).desired_goal)
     masks = np.stack([env.goals.train_mask, env.goals.test_mask])[:groups]
     np.testing.assert_array_equal(goals, np.flatnonzero(masks.any(0)))
     np.testing.assert_array_equal(env.goals.desired_mask, masks.any(0))
@@ -29,7 +29,7 @@ def test_episodes_are_for_training_goals_or_for_all_that_are_evaluated(desired_g
 def test_an_arm_too_has_episodes_for_all_goals():
     env = points()
     env = env.with_goals(env.goals.replace(desired=env.goals.evaluated))
-    goals = np.unique(jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 400)).goal)
+    goals = np.unique(jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 400)).desired_goal)
     np.testing.assert_array_equal(goals, np.unique(env.goals.evaluated))
 
 

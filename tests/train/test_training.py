@@ -156,7 +156,7 @@ def test_the_environment_may_travel_as_an_argument(train, sweep):
 
 def test_only_training_goals_are_desired(train, sweep):
     buffer = sweep.state.buffer
-    desired = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
+    desired = np.unique(np.asarray(buffer.desired_goal)[np.asarray(buffer.valid)])
     assert set(desired) <= set(np.flatnonzero(np.asarray(train.env.goals.train_mask)))
 
 

@@ -108,7 +108,7 @@ class FetchState:
     """float32 [3] in m, position that the next action starts from."""
     gripper_quaternion: jax.Array
     """float32 [4], orientation that the next action starts from."""
-    goal: jax.Array
+    desired_goal: jax.Array
     """float32 [3] in m."""
     time: jax.Array
     """int32, steps so far."""
@@ -210,7 +210,7 @@ class Fetch(Environment):
             observation=self._observation(motion, pose),
             gripper=pose.gripper,
             gripper_quaternion=pose.gripper_quaternion,
-            goal=goal,
+            desired_goal=goal,
             time=jnp.zeros((), jnp.int32),
             terminated=false,
             truncated=false,
@@ -237,7 +237,7 @@ class Fetch(Environment):
         motion, observation, gripper, quaternion = jax.tree.map(partial(jax.lax.select, diverged), kept, moved)
         state = state.replace(motion=motion, observation=observation, gripper=gripper, gripper_quaternion=quaternion)
         time = state.time + 1
-        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
+        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.desired_goal)
         return state.replace(
             time=time,
             terminated=terminated,

@@ -29,9 +29,9 @@ class ImageGoalState:
     """One episode."""
 
     robot: environment.FetchState
-    """State of the robot, whose goal is a position [3] in m."""
-    goal: jax.Array
-    """int32, desired goal."""
+    """State of the robot, whose desired goal is a position [3] in m."""
+    desired_goal: jax.Array
+    """int32."""
 
     time = property(lambda self: self.robot.time)
     terminated = property(lambda self: self.robot.terminated)
@@ -85,7 +85,8 @@ class ImageGoals(Environment):
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> ImageGoalState:
         """A new episode for this goal, int32."""
-        return ImageGoalState(robot=self.robot.begin_anew(key, self.positions[goal]), goal=jnp.asarray(goal, jnp.int32))
+        robot = self.robot.begin_anew(key, self.positions[goal])
+        return ImageGoalState(robot=robot, desired_goal=jnp.asarray(goal, jnp.int32))
 
     def step(self, state: ImageGoalState, action: jax.Array) -> ImageGoalState:
         """40 ms under an action [4] in [-1, 1]."""

@@ -129,7 +129,7 @@ def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)
         "give height and width of 64 to 2160 pixels",
     )
     position, goal, record = (
-        np.asarray(part, float) for part in (state.motion.position, state.goal, env.achieved(state))
+        np.asarray(part, float) for part in (state.motion.position, state.desired_goal, env.achieved(state))
     )
     require(position.ndim == 1, "state", f"a batch of shape {position.shape[:-1]}", "draw one state at a time")
     camera, still = still_scene(env.task, tuple(size))

@@ -126,8 +126,8 @@ class TargetState:
     """An episode of reaching target states."""
 
     robot: environment.FetchState
-    """State of the robot, whose goal [3] is that of the task."""
-    goal: jax.Array
+    """State of the robot, whose desired goal [3] is that of the task."""
+    desired_goal: jax.Array
     """float32 [S] in m, the target state."""
     moving: jax.Array
     """bool, whether the target changes."""
@@ -169,8 +169,8 @@ class TargetReaching(Environment):
         """A new episode; its target may move."""
         start_key, choose_key, key = jax.random.split(key, 3)
         robot = self.robot.reset(start_key)
-        state = TargetState(robot, self.space.at_goal(robot.goal), draw_chance(choose_key, self.moving_share), key)
-        return self._aim(state)
+        moving = draw_chance(choose_key, self.moving_share)
+        return self._aim(TargetState(robot, self.space.at_goal(robot.desired_goal), moving, key))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> TargetState:
         """A new episode for this target state [S], which stays."""
@@ -186,13 +186,12 @@ class TargetReaching(Environment):
         choose_key, draw_key = jax.random.split(jax.random.fold_in(state.key, state.robot.time))
         here = self.achieved(state)
         # The grip's share stays beside the object.
-        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(0.0) / FARTHEST
+        ahead = (self.space.at_goal(state.robot.desired_goal) - here).at[:-3].set(0.0) / FARTHEST
         drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0, dtype=jnp.float32)
         subgoal = jnp.where(draw_chance(choose_key, RANDOM_SHARE), drawn, ahead)
         due = state.moving & (state.robot.time % HELD == 0)
-        return state.replace(
-            goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal)
-        )
+        target = self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST)
+        return state.replace(desired_goal=jnp.where(due, target, state.desired_goal))
 
     def observe(self, state: TargetState) -> jax.Array:
         """The robot's observation, float32 [..., 10 or 25]."""

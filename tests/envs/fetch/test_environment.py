@@ -31,9 +31,9 @@ def test_every_episode_has_a_goal_of_its_own(reach):
     """Different keys, different goals; the same key, the same bits."""
     _, reset, _ = reach
     first, again, other = reset(keys(0)), reset(keys(0)), reset(keys(1))
-    assert len(np.unique(np.array(first.goal), axis=0)) == BATCH
-    np.testing.assert_array_equal(first.goal, again.goal)
-    assert (np.array(first.goal) != np.array(other.goal)).any(1).all()
+    assert len(np.unique(np.array(first.desired_goal), axis=0)) == BATCH
+    np.testing.assert_array_equal(first.desired_goal, again.desired_goal)
+    assert (np.array(first.desired_goal) != np.array(other.desired_goal)).any(1).all()
 
 
 def test_actions_move_the_grip_along_their_axes(reach):
@@ -62,8 +62,8 @@ def test_reaching_the_goal_ends_the_episode_and_time_truncates_it(reach):
     env, reset, step = reach
     states = reset(keys(4))
     grip = states.observation[:, :3]
-    near = states.replace(goal=grip + jnp.array([0.0, 0.0, 0.049]))
-    far = states.replace(goal=grip + jnp.array([0.0, 0.0, 0.3]))
+    near = states.replace(desired_goal=grip + jnp.array([0.0, 0.0, 0.049]))
+    far = states.replace(desired_goal=grip + jnp.array([0.0, 0.0, 0.3]))
     assert step(near, jnp.zeros((BATCH, 4))).terminated.all()
     for number in range(5):
         far = step(far, jnp.zeros((BATCH, 4)))
@@ -147,7 +147,7 @@ def test_goals_outside_of_the_workspace_are_refused(reach):
     with pytest.raises(UserError, match="give positions of 3 numbers"):
         env.reset_to(jax.random.key(0), jnp.zeros(2))
     state = jax.jit(env.reset_to)(jax.random.key(0), jnp.array([1.3, 0.7, 0.5]))
-    np.testing.assert_allclose(state.goal, [1.3, 0.7, 0.5])
+    np.testing.assert_allclose(state.desired_goal, [1.3, 0.7, 0.5])
 
 
 def test_a_length_of_zero_is_refused():

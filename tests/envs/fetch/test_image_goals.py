@@ -105,10 +105,10 @@ def test_each_use_has_goals_of_its_own_and_the_grid_is_never_desired(grid):
 
 def test_episodes_are_for_training_goals_each_as_often_as_the_others(env):
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 400))
-    goals, count = np.unique(states.goal, return_counts=True)
+    goals, count = np.unique(states.desired_goal, return_counts=True)
     np.testing.assert_array_equal(goals, env.goals.training_goals)
     assert count.min() > 60
-    np.testing.assert_array_equal(states.robot.goal, env.unwrapped.positions[states.goal])
+    np.testing.assert_array_equal(states.robot.desired_goal, env.unwrapped.positions[states.desired_goal])
 
 
 @pytest.mark.parametrize("task", presets.FETCH_TASKS)

@@ -162,7 +162,7 @@ def resets():
     def made(task, faithful=False):
         env = load(task, FetchConfig(faithful=faithful))
         states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(11), OURS))
-        ours = np.asarray(states.goal), np.asarray(states.observation)
+        ours = np.asarray(states.desired_goal), np.asarray(states.observation)
         return ours, (recorded[f"{task}/desired_goal"], recorded[f"{task}/observation"])
 
     return made

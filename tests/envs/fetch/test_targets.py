@@ -96,12 +96,12 @@ def test_targets_move_as_a_high_level_moves_them():
     env = envs.load("fetch_reach_targets")
     starts = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(8), 64))
     _, rows = jax.jit(lambda states: collect(env, states, acting("fetch_reach"), jax.random.key(9), 50))(starts)
-    changes = np.asarray((rows.goal[:, 1:] != rows.goal[:, :-1]).any(-1))
+    changes = np.asarray((rows.desired_goal[:, 1:] != rows.desired_goal[:, :-1]).any(-1))
     moving = changes.any(1)
     assert 0.3 < moving.mean() < 0.7 and not rows.terminated.any()
     assert changes.sum() == changes[:, HELD - 1 :: HELD].sum()  # Only where one is due.
     low, high = env.space.bounds
-    aimed, grip = np.asarray(rows.goal)[moving][:, ::HELD], np.asarray(rows.record)[moving][:, :-1:HELD]
+    aimed, grip = np.asarray(rows.desired_goal)[moving][:, ::HELD], np.asarray(rows.record)[moving][:, :-1:HELD]
     assert (aimed >= low - 1e-6).all() and (aimed <= high + 1e-6).all()
     assert (np.abs(aimed - np.clip(grip, low, high)) <= FARTHEST + 1e-6).all()
     asked = jax.jit(jax.vmap(env.reset_to))(jax.random.split(jax.random.key(8), 32), env.goals.evaluated)
