@@ -16,6 +16,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import check, search_space, values_of, with_values
 from infogoal_jax.report import tuning
+from infogoal_jax.report.methods import against
 from infogoal_jax.runner import search, training
 from infogoal_jax.runner.search import Watch, tune
 from infogoal_jax.runs.search import write_plan, write_scores
@@ -161,7 +162,8 @@ def test_a_method_is_searched_in_what_it_depends_on(method, changes, searched, l
 
 def test_methods_have_the_same_budget():
     for task in presets.TASKS:
-        budgets = [search.same_budget(presets.load(task, method)) for method in presets.METHODS]
+        methods = [method for method in presets.METHODS if not against(task, method)]
+        budgets = [search.same_budget(presets.load(task, method)) for method in methods]
         assert len({tuple(getattr(config, name) for name in search.BUDGET) for config in budgets}) == 1
 
 
