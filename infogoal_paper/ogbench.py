@@ -4,7 +4,7 @@
     python -m infogoal_paper.pages ogbench         # write the tables of docs/research/speed.md
 
 A file has a line for each evaluation of a program; the last line of a program has all before it, and counts. Results
-at other sizes than OGBench's are not taken.
+at other sizes than OGBench's are not taken, but for the batch where goals are pictures, which their table says.
 """
 
 import argparse
@@ -51,15 +51,18 @@ class Outcome:
     sizes: str = ""
     """Batch and layers, where they are not OGBench's."""
     noisy: list[list[list[float]]] = dataclasses.field(default_factory=list)
-    """As success, where the policy is told its goals with an error; empty where that was not asked for."""
+    """As success, where the policy is told its goals with an error, or sees their pictures under backgrounds; empty
+    where that was not asked for."""
     noise: float = 0.0
-    """Standard deviation of that error, in the units of a goal."""
+    """Standard deviation of that error, in the units of a goal; or the weight of the backgrounds."""
     dataset: str = FIRST
     """Its name in OGBench, which says the environment."""
+    goals: str = "states"
+    """How the goal encoder sees goals: `states` or `images`."""
 
     def program(self) -> tuple:
         """What it is known by in the results."""
-        return self.dataset, self.side, self.agent, self.learner, tuple(self.seeds), *self.held_out
+        return self.dataset, self.goals, self.side, self.agent, self.learner, tuple(self.seeds), *self.held_out
 
 
 def read(paths: Iterable[Path]) -> dict[tuple, Outcome]:
@@ -92,11 +95,16 @@ def append(path: Path, outcome: Outcome) -> None:
 def take(paths: Iterable[Path]) -> dict[tuple, Outcome]:
     """Put these results into the numbers."""
     found = read([NUMBERS, *paths])
-    small = sorted({outcome.sizes for outcome in found.values() if outcome.sizes})
+    small = sorted({outcome.sizes for outcome in found.values() if is_small(outcome)})
     if small:
         raise UserError(f"files: results with {small[0]}; give those with OGBench's sizes alone")
     trial_numbers.write_compressed(NUMBERS, "".join(map(line_of, found.values())))
     return found
+
+
+def is_small(outcome: Outcome) -> bool:
+    """Whether its sizes are not those of the tables."""
+    return bool(outcome.sizes) and (outcome.goals == "states" or "layers" in outcome.sizes)
 
 
 def success_at(outcomes: Iterable[Outcome], updates: int, kind: str = "success") -> np.ndarray:
@@ -113,7 +121,7 @@ def success_at(outcomes: Iterable[Outcome], updates: int, kind: str = "success")
 
 def shown(success: np.ndarray) -> str:
     """Mean over tasks with the interval over seeds; nothing where there is none."""
-    return tight(mean_interval(success.mean(-1))) if len(success) else ""
+    return tight(mean_interval(success.mean(-1))) if success.size else ""
 
 
 def sides_of(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
@@ -179,7 +187,7 @@ def peers(outcomes: list[Outcome]) -> str:
 
 def encoders(outcomes: list[Outcome]) -> str:
     """Success of goal encoders over several agents: on tasks whose goals were not held out, on those whose were, and on
-    all where the policy is told its goals with an error."""
+    all where the policy is told its goals with an error, or sees their pictures under backgrounds."""
     sides, marks, usual = sides_of(outcomes), set(), max(len(outcome.seeds) for outcome in outcomes)
     agents = list(dict.fromkeys(agent for agent, _ in sides))
     rows = {learner: dict.fromkeys(agents, "") for learner in dict.fromkeys(learner for _, learner in sides)}
@@ -193,9 +201,12 @@ def encoders(outcomes: list[Outcome]) -> str:
             rows[learner][agent] = ", ".join(filter(None, parts)) + (
                 f" ({len(success)})" if len(success) != usual else ""
             )
-    noise = sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy})
+    noise = ", ".join(sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy}))
     cell = "A cell: tasks with goals as in training, held out"
-    cell += f", all with goals told wrong by {', '.join(noise)} (one standard deviation)" if noise else ""
+    if outcomes[0].goals == "images":
+        cell += f", all with backgrounds of weight {noise} in the pictures of goals"
+    elif noise:
+        cell += f", all with goals told wrong by {noise} (one standard deviation)"
     head = ["goal encoder", *(f"`{NAMES.get(agent, agent)}`" for agent in agents)]
     table = markdown_lines(head, [[learner, *cells.values()] for learner, cells in rows.items()])
     return f"{table}\n\n{foot(outcomes, marks)} {usual} seeds. {cell}."
@@ -207,10 +218,14 @@ def of_outcomes(found: dict[tuple, Outcome]) -> dict[str, str]:
     for dataset in sorted({outcome.dataset for outcome in found.values()}, key=lambda name: name != FIRST):
         own = [outcome for outcome in found.values() if outcome.dataset == dataset]
         name = "" if dataset == FIRST else "_" + "_".join(dataset.split("-")[:2])
+        pictured = [outcome for outcome in own if outcome.goals == "images" and outcome.updates]
+        own = [outcome for outcome in own if outcome.goals == "states"]
         if plain := [outcome for outcome in own if not outcome.held_out]:
             tables[f"peers{name}"] = peers(plain)
         if held := [outcome for outcome in own if outcome.held_out and outcome.updates]:
             tables[f"encoders{name}"] = encoders(held)
+        if pictured:
+            tables[f"encoders_images{name}"] = encoders(pictured)
     return tables
 
 

@@ -25,10 +25,17 @@ both after the same number of updates, in the tasks of the environment, from the
 
 `--learners` puts goal encoders before our agents, and `--held-out` the cells of these tasks' goals out of training.
 `--goal-noise` evaluates once more, with goals told wrong by a normal error of this size.
+
+`--image-goals` (our side, pointmaze) shows the goal encoder pictures of goals in place of states; what the agent sees
+of itself stays OGBench's state. OGBench renders its pictures by OpenGL. Ours are drawn in the program: from a camera
+above the robot that goes with it, walls grey, and the floor coloured by place as in OGBench's visual mazes. Every goal
+encoder, `none` too, has the image layers of the Fetch tasks. The second evaluation has a test background of weight 0.4
+in each picture; none is seen in training.
 """
 
 import argparse
 import dataclasses
+import functools
 import importlib
 import multiprocessing
 import os
@@ -53,6 +60,10 @@ LEARNERS = {
 }
 """Goal encoders, each with the floats and fields that it changes; the VAE's beta was chosen on another maze
 (docs/research/continuous_goals.md)."""
+OF_IMAGES = {"latent_size": 32, "standardise_images": True}
+"""Fields of every goal encoder where goals are pictures, in place of those above: as in the Fetch tasks."""
+CORRUPTION = 0.4
+"""Weight of the backgrounds in goal pictures, the paper's."""
 FLOATS = {
     "alpha": "agent.alpha",
     "high_alpha": "agent.high_alpha",
@@ -64,6 +75,12 @@ OF_GOALS = {"actor_p_trajgoal": "actor_future_share", "subgoal_steps": "subgoal_
 NOISE = 0.5
 """Standard deviation of the noise on the actions of the scripted policy."""
 HALF_CELL = 2.0
+PIXELS = 64
+"""Along each side of a picture of a goal, as of OGBench's and of the backgrounds."""
+PIXELS_PER_UNIT = 4.0
+"""A picture shows 16 units, four cells of the maze; OGBench's robot has a radius of 0.7."""
+BRIGHTEST, BLUE, WALL, ROBOT = 192.0, 128.0, (153, 153, 153), (179, 128, 77)
+"""Colours as in OGBench's visual mazes: red and green of the floor rise to the first along x and y."""
 HALF_CUBE = 0.6
 """Six centimetres, as states have lengths."""
 
@@ -82,6 +99,11 @@ class Sizes:
     """Updates of a seed whose speed is measured."""
     batch_size: int = 1024
     hidden: tuple[int, ...] = (512, 512, 512)
+
+    def in_words(self) -> str:
+        """Batch and layers, where they are not OGBench's."""
+        said = [f"batch {self.batch_size}"] if self.batch_size != 1024 else []
+        return ", ".join(said + ([f"layers {self.hidden}"] if self.hidden != (512, 512, 512) else []))
 
 
 TOY = Sizes(updates=8, evaluations=2, episodes=1, chunk=2, timed=2, batch_size=8, hidden=(16, 16))
@@ -225,8 +247,8 @@ def collect_all(path: Path, dataset: str, episodes: int, steps: int) -> None:
     np.savez_compressed(path, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
-AT_ONCE = 2
-"""Episodes of a task that are stepped side by side: an environment of the cubes takes 170 MB."""
+AT_ONCE, AT_ONCE_OF_POINTS = 2, 20
+"""Episodes of a task that are stepped side by side: an environment of the cubes takes 170 MB, of the point mazes 2."""
 
 
 def serve(connection: Any, dataset: str, episodes: list[tuple[int, int]]) -> None:
@@ -261,7 +283,8 @@ class Environments:
     def __init__(self, dataset: str, seeds: int, episodes: int, processes: int):
         context = multiprocessing.get_context("spawn")
         tasks = len(make_environment(dataset).unwrapped.task_infos)
-        self.shape, self.count = (seeds, tasks, min(AT_ONCE, episodes)), episodes
+        at_once = AT_ONCE_OF_POINTS if dataset.startswith("pointmaze") else AT_ONCE
+        self.shape, self.count = (seeds, tasks, min(at_once, episodes)), episodes
         each = [(task, number) for task in range(1, tasks + 1) for number in range(self.shape[2])] * seeds
         self.shares = np.array_split(np.arange(len(each)), min(processes, len(each)))
         self.connections, self.processes = [], []
@@ -274,21 +297,23 @@ class Environments:
             self.connections.append(own)
             self.processes.append(process)
 
-    def run(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float = 0.0) -> np.ndarray:
-        """The fraction of episodes that ended in success [S, tasks], by act(observations [E, F], goals [E, G]) ->
-        actions [E, A] for episodes of one seed after another. noise: standard deviation of an error in the goal that
-        `act` is told, which stays for the episode."""
-        found = [self.run_from(first, act, noise) for first in range(0, self.count, self.shape[2])]
+    def run(self, act: Callable[[np.ndarray, Any], np.ndarray], tell: Callable[[np.ndarray, int], Any]) -> np.ndarray:
+        """The fraction of episodes that ended in success [S, tasks], by act(observations [E, F], told) -> actions
+        [E, A] for episodes of one seed after another. tell: (goals [E, G], number of the first episode) -> what `act`
+        is told of them, which stays for the episode."""
+        found = [self.run_from(first, act, tell) for first in range(0, self.count, self.shape[2])]
         return np.concatenate(found, -1)[..., : self.count].mean(-1)
 
-    def run_from(self, first: int, act: Callable[[np.ndarray, np.ndarray], np.ndarray], noise: float) -> np.ndarray:
-        """Which episodes of each task ended in success [S, tasks, AT_ONCE], from this number on."""
+    def run_from(
+        self, first: int, act: Callable[[np.ndarray, Any], np.ndarray], tell: Callable[[np.ndarray, int], Any]
+    ) -> np.ndarray:
+        """Which episodes of each task ended in success [S, tasks, N], from this number on."""
         for connection in self.connections:
             connection.send(("begin", first))
         seen, goals = map(np.concatenate, zip(*(connection.recv() for connection in self.connections), strict=True))
-        goals = goals + np.float32(noise) * np.random.default_rng(first).standard_normal(goals.shape, np.float32)
+        told = tell(goals, first)
         while True:
-            actions = np.asarray(act(seen, goals))
+            actions = np.asarray(act(seen, told))
             for connection, share in zip(self.connections, self.shares, strict=True):
                 connection.send(("step", actions[share]))
             answers = [connection.recv() for connection in self.connections]
@@ -304,6 +329,15 @@ class Environments:
             process.join()
 
 
+def wrong_by(noise: float) -> Callable[[np.ndarray, int], np.ndarray]:
+    """Tells goals with a normal error of this standard deviation."""
+
+    def tell(goals: np.ndarray, first: int) -> np.ndarray:
+        return goals + np.float32(noise) * np.random.default_rng(first).standard_normal(goals.shape, np.float32)
+
+    return tell
+
+
 # The two sides: each makes a program, which has a function that trains and one that acts.
 
 
@@ -313,8 +347,10 @@ class Program:
 
     advance: Callable[[int], None]
     """Train by so many updates, to their end."""
-    act: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    """Best actions for observations [S * E, F] and goals, seed after seed."""
+    act: Callable[[np.ndarray, Any], np.ndarray]
+    """Best actions for observations [S * E, F] and goals, or what `show` makes of these, seed after seed."""
+    show: Callable[[np.ndarray, int, float], Any] | None = None
+    """Of goals [S * E, G] the codes of their pictures, under backgrounds drawn by this number and of this weight."""
 
 
 def flags_of(impls: Path, dataset: str, agent: str) -> dict[str, float]:
@@ -327,18 +363,48 @@ def flags_of(impls: Path, dataset: str, agent: str) -> dict[str, float]:
     return {name: int(value) if name == "subgoal_steps" else float(value) for name, value in pairs}
 
 
-def our_task(data: Path, dataset: str, held_out: list[int]) -> Any:
-    """A task to learn offline whose goals are whole states. held_out: tasks; no goal near theirs is learned from."""
+def our_task(data: Path, dataset: str, held_out: list[int], image_goals: bool) -> Any:
+    """A task to learn offline whose goals are whole states. held_out: tasks; no goal near theirs is learned from.
+    image_goals: whether pictures are shown of goals."""
     import jax.numpy as jnp
 
     from infogoal_jax import envs
 
+    seen = draw_places(dataset) if image_goals else None
     if not held_out:
-        return envs.from_recordings(data)
+        return envs.from_recordings(data, seen=seen)
     places, centres, distance = places_of(dataset, held_out)
     return envs.from_recordings(
-        data, held_out=lambda goal: (jnp.abs(goal[places] - centres) < distance).all(-1).any(), scaled=True
+        data,
+        held_out=lambda goal: (jnp.abs(goal[places] - centres) < distance).all(-1).any(),
+        scaled=not image_goals,
+        seen=seen,
     )
+
+
+def draw_places(dataset: str) -> Callable[[Any], Any]:
+    """What draws places in a maze, float32 [..., 2] to pictures uint8 [..., P, P, 3]."""
+    import jax.numpy as jnp
+
+    world = make_environment(dataset).unwrapped
+    walls = np.asarray(world.maze_map) != 0
+    centre, next_centre = (np.array(world.ij_to_xy(cell), np.float32) for cell in ((0, 0), (1, 1)))
+    side, size = next_centre - centre, np.array(walls.shape[::-1], np.float32)  # Of a cell; cells along x and y.
+    ahead = (np.arange(PIXELS, dtype=np.float32) + 0.5 - PIXELS / 2) / PIXELS_PER_UNIT
+    robot = np.hypot(ahead, ahead[:, None]) < 0.7
+
+    def draw(goals):
+        x, y = (
+            jnp.clip((goals[..., axis, None] + ahead - centre[axis]) / side[axis] + 0.5, 0.0, size[axis] - 1e-3)
+            for axis in (0, 1)
+        )  # In cells, of each column and of each row of pixels.
+        is_wall = jnp.asarray(walls)[y.astype(jnp.int32)[..., :, None], x.astype(jnp.int32)[..., None, :]]
+        red, green = BRIGHTEST * x[..., None, :] / size[0], BRIGHTEST * y[..., :, None] / size[1]
+        floor = jnp.stack(jnp.broadcast_arrays(red, green, jnp.float32(BLUE)), -1).astype(jnp.uint8)
+        picture = jnp.where(is_wall[..., None], jnp.array(WALL, jnp.uint8), floor)
+        return jnp.where(robot[..., None], jnp.array(ROBOT, jnp.uint8), picture)
+
+    return draw
 
 
 def places_of(dataset: str, tasks: list[int]) -> tuple[slice, np.ndarray, float]:
@@ -357,10 +423,13 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     import jax.numpy as jnp
 
     from infogoal_jax import compiled, jit, make_train, presets, use_compilation_cache
+    from infogoal_jax.data import backgrounds
+    from infogoal_jax.goals import corrupt, draw_backgrounds
     from infogoal_jax.hyperparameters import with_values
 
     use_compilation_cache()
-    flags, task = flags_of(words.impls, words.dataset, job.agent), our_task(words.data, words.dataset, words.held_out)
+    flags = flags_of(words.impls, words.dataset, job.agent)
+    task = our_task(words.data, words.dataset, words.held_out, words.image_goals)
     presets.register("ogbench_recorded", task, presets.OGBENCH)
     method, floats, fields = LEARNERS[job.learner]
     config = presets.load(
@@ -378,7 +447,7 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     config = dataclasses.replace(
         config,
         hyper=with_values(config.hyper, floats),
-        learner=dataclasses.replace(config.learner, **fields),
+        learner=dataclasses.replace(config.learner, **OF_IMAGES if words.image_goals else fields),
         relabelling=dataclasses.replace(config.relabelling, **goals),
         agent=dataclasses.replace(config.agent, hidden=sizes.hidden),
     )
@@ -403,13 +472,29 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
 
         return jax.vmap(of_seed)(params, seen, goals)
 
-    def act(seen: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        held["acted"] = held.get("acted", 0) + 1
-        by_seed = [each.reshape(len(job.seeds), -1, each.shape[-1]) for each in (seen, goals)]
-        key = jax.random.key(held["acted"])
-        return np.asarray(best(held["state"].params, train.env, *by_seed, key)).reshape(len(seen), -1)
+    def by_seed(each):
+        return each.reshape(len(job.seeds), -1, each.shape[-1])
 
-    return Program(go_on, act)
+    def act(seen: np.ndarray, told: Any) -> np.ndarray:
+        held["acted"] = held.get("acted", 0) + 1
+        told = by_seed(told) if isinstance(told, np.ndarray) else told
+        key = jax.random.key(held["acted"])
+        return np.asarray(best(held["state"].params, train.env, by_seed(seen), told, key)).reshape(len(seen), -1)
+
+    if not words.image_goals:
+        return Program(go_on, act)
+    behind = jnp.asarray(backgrounds.load().test)
+
+    @jit
+    def codes(params, env, behind, goals, key, weight):
+        images = env.goals.inputs_of(goals)
+        images = corrupt(images, draw_backgrounds(key, behind, goals.shape[:-1]), weight)
+        return jax.vmap(lambda params, images: train.parts.learner.encode(params["goal"], images))(params, images)
+
+    def show(goals: np.ndarray, number: int, weight: float) -> Any:
+        return codes(held["state"].params, train.env, behind, by_seed(goals), jax.random.key(number), weight)
+
+    return Program(go_on, act, show)
 
 
 def theirs(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
@@ -506,12 +591,17 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         compiling=compiling,
         updates=[],
         success=[[] for _ in job.seeds],
-        noisy=[[] for _ in job.seeds] if words.goal_noise else [],
-        noise=words.goal_noise,
+        noisy=[[] for _ in job.seeds] if words.goal_noise or words.image_goals else [],
+        noise=CORRUPTION if words.image_goals else words.goal_noise,
         held_out=words.held_out,
         dataset=words.dataset,
-        sizes="" if sizes.hidden == (512, 512, 512) else f"batch {sizes.batch_size}, layers {sizes.hidden}",
+        goals=goals_of(words),
+        sizes=sizes.in_words(),
     )
+    tell = {"clean": lambda goals, first: goals, "noisy": wrong_by(words.goal_noise)}
+    if program.show is not None:
+        weights = {"clean": 0.0, "noisy": CORRUPTION}
+        tell = {kind: functools.partial(program.show, weight=weight) for kind, weight in weights.items()}
     if rate is not None:
         append(words.out, outcome)
     if not job.train:
@@ -526,12 +616,12 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         if environments is None:
             processes = max(1, len(job.seeds) * (os.cpu_count() or 1) // words.programs)
             environments = Environments(words.dataset, len(job.seeds), sizes.episodes, processes)
-        reached = environments.run(program.act)
+        reached = environments.run(program.act, tell["clean"])
         outcome.updates.append(done)
         for of_seed, found in zip(outcome.success, reached.tolist(), strict=True):
             of_seed.append(found)
-        if words.goal_noise:
-            noisy = environments.run(program.act, words.goal_noise)
+        if outcome.noisy:
+            noisy = environments.run(program.act, tell["noisy"])
             for of_seed, found in zip(outcome.noisy, noisy.tolist(), strict=True):
                 of_seed.append(found)
         append(words.out, outcome)
@@ -561,9 +651,14 @@ def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
                 yield Job("theirs", agent, "none", (seed,))
 
 
+def goals_of(words: argparse.Namespace) -> str:
+    """How goals are shown, as the results call it."""
+    return "images" if words.image_goals else "states"
+
+
 def is_done(job: Job, found: dict[tuple, Any], sizes: Sizes, words: argparse.Namespace) -> bool:
     """Whether the results have all of a program."""
-    outcome = found.get((words.dataset, *job.key(), *words.held_out))
+    outcome = found.get((words.dataset, goals_of(words), *job.key(), *words.held_out))
     return outcome is not None and (not job.train or sizes.updates in outcome.updates)
 
 
@@ -585,6 +680,7 @@ def main() -> None:
     parser.add_argument("--learners", nargs="+", default=["none"], choices=list(LEARNERS))
     parser.add_argument("--held-out", type=int, nargs="+", default=[])
     parser.add_argument("--goal-noise", type=float, default=0.0)
+    parser.add_argument("--image-goals", action="store_true")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--their-seeds", type=int, help="of OGBench's side, each a program; as many as ours where none")
     parser.add_argument("--updates", type=int, default=50_000)
@@ -602,6 +698,12 @@ def main() -> None:
     missing = [f"--{name}" for name in ("data", "impls", "out") if getattr(words, name) is None]
     if missing:
         parser.error(f"{', '.join(missing)}: give the file of the data, the folder impls of OGBench, and the results")
+    if words.image_goals and words.sides != ["ours"]:
+        parser.error("--image-goals: OGBench's side sees states; give --sides ours")
+    if words.image_goals and not words.dataset.startswith("pointmaze"):
+        parser.error(f"--image-goals: there are no pictures of {words.dataset}; give a pointmaze")
+    if words.image_goals and words.goal_noise:
+        parser.error("--goal-noise: pictures of goals are evaluated under backgrounds; leave it out")
     own = {"episodes": words.tries, "batch_size": words.batch_size, "hidden": tuple(words.hidden)}
     sizes = TOY if words.toy else Sizes(words.updates, words.evaluations, **own)
     deadline = min(time.time() + words.budget, time.time() + 1e7)

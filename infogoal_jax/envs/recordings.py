@@ -97,12 +97,14 @@ def from_recordings(
     *,
     held_out: Callable[[jax.Array], jax.Array] | None = None,
     scaled: bool = False,
+    seen: Callable[[jax.Array], jax.Array] | None = None,
 ) -> GoalTask:
     """A task to be learned offline from recordings alone, as OGBench has it: goals are whole states. What is learned is
     judged in an environment elsewhere (docs/reference/datasets.md).
 
     episodes: `Episodes` or the file of them, whose observations are vectors. held_out: says of a goal float32 [F]
     whether it is kept out of training. scaled: whether the goal encoder sees goals from -1 to 1 instead of as they are.
+    seen: what it sees of goals float32 [..., F] in their place, such as pictures uint8 [..., H, W, C] that it draws.
 
     Raises `UserError` for recordings of images, and for what `with_recordings` refuses.
     """
@@ -110,22 +112,23 @@ def from_recordings(
         episodes = load(episodes)
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give a file, or Episodes")
     checks.flag(scaled, "scaled")
-    seen = episodes.observations
+    require(not (scaled and seen is not None), "scaled", scaled, "seen says what is seen of goals; give one of both")
+    states = episodes.observations
     require(
-        seen.ndim == 2,
+        states.ndim == 2,
         "observations",
-        f"{seen.dtype} {list(seen.shape[1:])}",
+        f"{states.dtype} {list(states.shape[1:])}",
         "goals are states as vectors here; for images write a task, and with_recordings",
     )
     if held_out is not None:
         checks.function(held_out, "held_out", 1, "give a function of a goal, or leave it out")
     with np.errstate(over="ignore"):  # Corners that are not finite are refused.
-        margin = np.maximum(MARGIN, 1e-5 * np.abs(seen).max(0)).astype(np.float32)
+        margin = np.maximum(MARGIN, 1e-5 * np.abs(states).max(0)).astype(np.float32)
     space = GoalBox.of(
-        seen.min(0) - margin,
-        seen.max(0) + margin,
+        states.min(0) - margin,
+        states.max(0) + margin,
         use_of=held_out,
-        seen=None if scaled else jnp.asarray,
+        seen=None if scaled else jnp.asarray if seen is None else seen,
         num_evaluated=1,
     )
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)

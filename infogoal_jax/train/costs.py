@@ -49,21 +49,22 @@ def with_actor_goals(
     encode = GoalEncoding(parts.learner, params["goal"], setup.env.goals, setup.config.batch_size).of_any()
     here, last = jax.lax.stop_gradient((batch.features, batch.next_features))
 
-    def code_in(number, features, goal):
-        code = conditioned(parts.learner, params["goal"], encode(goal), features)
+    def code_in(number, features, code):
+        code = conditioned(parts.learner, params["goal"], code, features)
         return code_seen(parts, code, jax.random.fold_in(key, number))
 
-    batch = batch.replace(actor=ActorGoals(code_in(0, here, goal), code_in(1, last, goal)))
+    of_goal = encode(goal)
+    batch = batch.replace(actor=ActorGoals(code_in(0, here, of_goal), code_in(1, last, of_goal)))
     if waypoints is None:
         return batch
     low_goal, on_the_way, observation = waypoints
-    there = encode_states(setup, params, setup.config.batch_size)(observation)
+    there, of_low_goal = encode_states(setup, params, setup.config.batch_size)(observation), encode(low_goal)
     return batch.replace(
         waypoints=Waypoints(
-            low_code=code_in(2, here, low_goal),
-            next_low_code=code_in(3, last, low_goal),
-            code=code_in(4, here, on_the_way),
+            low_code=code_in(2, here, of_low_goal),
+            next_low_code=code_in(3, last, of_low_goal),
+            code=code_in(4, here, encode(on_the_way)),
             features=there,
-            code_there=code_in(5, there, goal),
+            code_there=code_in(5, there, of_goal),
         )
     )

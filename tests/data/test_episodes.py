@@ -1,5 +1,6 @@
 """Recorded episodes in OGBench's layouts: what is read is what was recorded, and everything wrong is said at once."""
 
+import dataclasses
 import functools
 import io
 import zipfile
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import UserError, envs
+from infogoal_jax import UserError, envs, jit, make_train, presets
 from infogoal_jax.bridges.minari import episodes_of
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
@@ -400,6 +401,74 @@ def test_a_region_of_recorded_states_is_held_out():
     task = from_recordings(of_arrays(recorded(observations=SIDE, actions=SIDE)), held_out=lambda goal: goal[0] > middle)
     desired = np.asarray(jax.jit(jax.vmap(task.goals.draw))(jax.random.split(jax.random.key(0), 50)))
     assert (desired[:, 0] <= middle).all() and {"train", "test"} <= {*task.goals.groups}
+
+
+def spotted(goals):
+    """Pictures of goals [..., 2], uint8 [..., 8, 8, 3]: as bright as the first number."""
+    return jnp.broadcast_to(goals[..., :1, None, None], (*goals.shape[:-1], 8, 8, 3)).astype(jnp.uint8)
+
+
+def test_goals_of_recorded_states_are_shown_as_pictures():
+    task = from_recordings(of_arrays(recorded()), seen=spotted)
+    shown = task.goals.inputs_of(jnp.asarray(recorded()["observations"]))
+    assert shown.shape[1:] == (8, 8, 3) and np.array_equal(shown[:, 0, 0, 0], recorded()["observations"][:, 0])
+    with pytest.raises(UserError, match=r"^scaled = True: seen says what is seen"):
+        from_recordings(of_arrays(recorded()), seen=spotted, scaled=True)
+    with pytest.raises(UserError, match=r"^seen = 'float32 \[\]'"):
+        from_recordings(of_arrays(recorded()), seen=lambda goals: goals[..., 0])
+
+
+def hiql_on_pictures(learner: str, see, held_out=None):
+    """A program that learns from the recordings with pictures `see` of goals, two updates of four transitions."""
+    task = from_recordings(of_arrays(recorded()), seen=see, held_out=held_out)
+    presets.register("pictured", task, presets.OGBENCH)
+    sizes = {"updates_per_epoch": 2, "batch_size": 4, "known_goals": "held_out"}
+    config = presets.load("pictured", learner, agent="hiql", **sizes)
+    small = {"latent_size": 4, "hidden": (8,)} | ({} if learner == "none" else {"num_pairs": 4, "window": 2})
+    return make_train(
+        dataclasses.replace(
+            config,
+            learner=dataclasses.replace(config.learner, **small),
+            agent=dataclasses.replace(config.agent, hidden=(8,), size=4),
+        ),
+        task,
+    )
+
+
+def test_an_update_encodes_each_goal_once():
+    """Of HIQL four: of the values, of the actor, of its low level, and the one on the way; that of the values by the
+    target networks too."""
+    shown = []
+
+    def see(goals):
+        shown.append(goals.shape[:-1])
+        return spotted(goals)
+
+    train = hiql_on_pictures("none", see)
+    state = train.state_shapes
+    shown.clear()
+    jax.eval_shape(train.epochs, state, jnp.zeros(1, jnp.int32), train.config.hyper, train.env)
+    assert shown == [(4,)] * 5
+
+
+@pytest.mark.long
+def test_no_picture_of_a_goal_that_is_held_out_enters_training():
+    shown = []
+
+    def see(goals):
+        jax.debug.callback(lambda goals: shown.append(np.asarray(goals).reshape(-1, 2)), goals)
+        return spotted(goals)
+
+    def held_out(goal):
+        return (goal[0] > 9) & (goal[0] < 15)
+
+    train = hiql_on_pictures("infogoal", see, held_out)
+    state = train.initial(jax.random.key(0), train.config.hyper, train.env)
+    shown.clear()
+    jax.block_until_ready(jit(train.epochs)(state, jnp.arange(10, dtype=jnp.int32), train.config.hyper, train.env))
+    jax.effects_barrier()
+    goals = np.concatenate(shown)
+    assert len({*goals[:, 0]}) > 5 and not jax.vmap(held_out)(goals).any()
 
 
 def test_recordings_of_images_need_a_task():

@@ -166,7 +166,39 @@ def test_the_benchmark_runs_at_toy_size(of_ogbench, tmp_path):
     words += ["--held-out", 1, "--goal-noise", 1, "--sides", *sides]
     table = peer(*words).stdout
     assert "| none | " in table and "atch 8, layers (16, 16)" in table
-    last = ogbench.read([results])[ogbench.FIRST, "ours", "gciql", "none", (0, 1), 1]
+    last = ogbench.read([results])[ogbench.FIRST, "states", "ours", "gciql", "none", (0, 1), 1]
     assert last.updates == [4, 8] and np.shape(last.success) == np.shape(last.noisy) == (2, 2, len(last.success[0][0]))
     before = results.read_text()
     assert peer(*words).stdout == table and results.read_text() == before
+    words = ["--data", data, "--impls", impls, "--out", results, "--toy", "--agents", "gciql", "--seeds", 2]
+    words += ["--held-out", 1, "--image-goals", "--sides", "ours", "--learners", "infogoal"]
+    tables = peer(*words).stdout
+    assert table.strip() in tables and "all with backgrounds of weight 0.4 in the pictures of goals" in tables
+    pictured = ogbench.read([results])[ogbench.FIRST, "images", "ours", "gciql", "infogoal", (0, 1), 1]
+    assert pictured.updates == [4, 8] and np.shape(pictured.noisy) == np.shape(last.noisy)
+
+
+def test_pictures_tell_places_apart(of_ogbench, monkeypatch):
+    """They differ, more so the farther two places are apart; the robot is in the middle, and there is wall beyond."""
+    monkeypatch.syspath_prepend(str(of_ogbench[0]))
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks" / "peers"))
+    import ogbench_peer
+
+    places = np.array([[8.0, 4.0], [8.5, 4.0], [12.0, 4.0], [8.0, 8.0]], np.float32)
+    pictures = np.asarray(ogbench_peer.draw_places(ogbench.FIRST)(places)).astype(int)
+    near, along, across = np.abs(pictures[1:] - pictures[0]).mean((1, 2, 3))
+    assert pictures.shape == (4, 64, 64, 3) and 0 < near < along and near < across
+    assert (pictures[0, 0, 0] == ogbench_peer.WALL).all() and (pictures[:, 32, 32] == ogbench_peer.ROBOT).all()
+
+
+def test_goals_as_pictures_have_a_table_of_their_own_whatever_the_batch(numbers, tmp_path):
+    held = {"updates": (10,), "held_out": [2]}
+    pictured = outcome(**held, goals="images", sizes="batch 256", noise=0.4)
+    pictured.noisy = [[[0.2, 0.0]], [[0.2, 0.0]]]
+    found = ogbench.of_outcomes(ogbench.take([write(tmp_path / "both.jsonl", outcome(**held), pictured)]))
+    assert list(found) == ["encoders", "encoders_images"] and "| 0.50±0.00, 0.00±0.00 |" in found["encoders"]
+    assert "0.50±0.00, 0.00±0.00, 0.10±0.00" in found["encoders_images"]
+    assert "atch 256" in found["encoders_images"] and "weight 0.4 in the pictures" in found["encoders_images"]
+    for sizes, goals in (("batch 256", "states"), ("batch 8, layers (16, 16)", "images")):
+        with pytest.raises(UserError, match="OGBench's sizes"):
+            ogbench.take([write(tmp_path / "small.jsonl", outcome(**held, sizes=sizes, goals=goals))])
