@@ -74,6 +74,8 @@ OF_GOALS = {"actor_p_trajgoal": "actor_future_share", "subgoal_steps": "subgoal_
 """OGBench's flags as fields of ours."""
 NOISE = 0.5
 """Standard deviation of the noise on the actions of the scripted policy."""
+MANIPULATED = ("cube", "scene", "puzzle")
+"""First words of datasets whose environments need dm_control."""
 HALF_CELL = 2.0
 PIXELS = 64
 """Along each side of a picture of a goal, as of OGBench's and of the backgrounds."""
@@ -132,10 +134,9 @@ def make_environment(dataset: str, **arguments: Any) -> Any:
     """The environment of a dataset such as `pointmaze-medium-navigate-v0` or `cube-single-play-v0`."""
     os.environ.setdefault("MUJOCO_GL", "disabled")  # States are all that is looked at.
     import gymnasium
-    import ogbench.locomaze
-    import ogbench.manipspace  # noqa: F401
 
     words = dataset.split("-")
+    importlib.import_module("ogbench.manipspace" if words[0] in MANIPULATED else "ogbench.locomaze")
     return gymnasium.make("-".join(words[:-2] + words[-1:]), disable_env_checker=True, **arguments)
 
 
