@@ -72,9 +72,34 @@ def unpatched(values: jax.Array, side: int) -> jax.Array:
 def standardised(images: jax.Array) -> jax.Array:
     """Standardise each image [..., H, W, C] to mean 0 and standard deviation 1. A background takes away contrast
     first."""
+    mean, deviation = contrast(images)
+    return (images - mean) / deviation
+
+
+def contrast(images: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean and standard deviation of each image [..., H, W, C]: [..., 1, 1, 1]. The latter is not 0."""
     axes = (-3, -2, -1)
-    centred = images - images.mean(axes, keepdims=True)
-    return centred / (jnp.sqrt(jnp.square(centred).mean(axes, keepdims=True)) + 1e-3)
+    mean = images.mean(axes, keepdims=True)
+    return mean, jnp.sqrt(jnp.square(images - mean).mean(axes, keepdims=True)) + 1e-3
+
+
+class PixelLayer(nn.Module):
+    """The first convolution of `ImageLayers`, images uint8 [..., H, W, C] to [..., H / 8, W / 8, 2, 2, 16]. Images are
+    standardised behind the product, which takes bytes before it."""
+
+    standardise: bool
+
+    @nn.compact
+    def __call__(self, images):
+        seen = scaled(squares_of_fours(images))
+        kernel = self.param("kernel", nn.initializers.lecun_normal(), (seen.shape[-1], 16))
+        bias = self.param("bias", nn.initializers.zeros_init(), (16,))
+        if not self.standardise:
+            return seen @ kernel + bias
+        mean, deviation = (values[..., None, None] for values in contrast(to_scale(images)))
+        # Without the barrier a GPU sums up the large gradient for the images, and once more for the bias.
+        offset = jax.lax.optimization_barrier(bias - mean / deviation * kernel.sum(0))
+        return seen @ kernel / deviation + offset
 
 
 class ImageLayers(nn.Module):
@@ -90,9 +115,8 @@ class ImageLayers(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        seen = squares_of_fours(as_encoded(images, True)) if self.standardise else scaled(squares_of_fours(images))
-        values = nn.relu(nn.Dense(16)(seen))
-        values = nn.relu(nn.Dense(32)(values.reshape(*values.shape[:-3], -1)))
+        values = nn.relu(PixelLayer(self.standardise, name="Dense_0")(images))
+        values = nn.relu(nn.Dense(32, name="Dense_1")(values.reshape(*values.shape[:-3], -1)))
         return values.reshape(*values.shape[:-3], -1)
 
 
