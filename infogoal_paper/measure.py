@@ -23,8 +23,7 @@ from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.program import Train
-from infogoal_jax.train.sampling import sample
-from infogoal_jax.train.update import update
+from infogoal_jax.train.update import sample, update
 from infogoal_paper.image_goal_figures import WEIGHTS, is_fetch, seen_images, test_goal_episodes
 from infogoal_paper.trajectory_figures import angles_to_goals
 from infogoal_paper.walks import Walk, from_farthest, one_goal_a_region, rewards_of_images, walks_of_policy

@@ -27,8 +27,7 @@ from infogoal_jax.envs import plane
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine, mean_interval
 from infogoal_jax.train.experience import make_experience
-from infogoal_jax.train.sampling import sample_pairs
-from infogoal_jax.train.update import updates
+from infogoal_jax.train.update import sample_pairs, updates
 
 GROUPS = ("train", "validation", "test")
 

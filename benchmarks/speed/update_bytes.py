@@ -22,8 +22,7 @@ from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import inner_programs
 from infogoal_jax.train.experience import make_experience
-from infogoal_jax.train.sampling import sample
-from infogoal_jax.train.update import update, updates
+from infogoal_jax.train.update import sample, update, updates
 
 WIDTHS = {"pred": 1, "bf16": 2, "c64": 8, "c128": 16}
 FREE = {"parameter", "get-tuple-element", "tuple", "constant", "bitcast", "after-all", "iota", "partition-id"}

@@ -20,8 +20,7 @@ from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.experience import external_reward, usable_goals
 from infogoal_jax.train.parts import Networks, Setup
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.sampling import Sample
-from infogoal_jax.train.update import agent_batch, returns
+from infogoal_jax.train.update import Sample, agent_batch, returns
 
 K = hand_made_points.LONG_INTERVAL
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""

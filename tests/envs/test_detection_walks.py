@@ -20,7 +20,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.train.episodes import rollout
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
 from infogoal_jax.train.experience import make_experience
-from infogoal_jax.train.sampling import sample
+from infogoal_jax.train.update import sample
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from infogoal_jax.learners.learner import GoalCode, SampleSpec
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Setup
-from infogoal_jax.train.sampling import sample_pairs
+from infogoal_jax.train.update import sample_pairs
 
 GROUPS, SIZE = 3, 4
 GOALS = GROUPS * SIZE

@@ -17,7 +17,7 @@ from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.learner import GoalCode, Visited
 from infogoal_jax.relabelling.her import first_seen
 from infogoal_jax.train.experience import collect_epoch, make_experience
-from infogoal_jax.train.sampling import sample
+from infogoal_jax.train.update import sample
 
 FEATURES, GOALS = 4, 8
 

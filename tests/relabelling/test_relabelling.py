@@ -22,7 +22,7 @@ from infogoal_jax.relabelling.her import HERConfig, any_known, soon
 from infogoal_jax.relabelling.mixed import MixedConfig
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import experience, parts, sampling, update
+from infogoal_jax.train import experience, parts, update
 from infogoal_jax.train.relabelled import with_relabelled_goals
 
 DRAWS = 4000
@@ -176,7 +176,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     )
     for share, made in ((0.0, plain), (1.0, train)):
         draw = jax.jit(
-            lambda state, made=made: sampling.sample(
+            lambda state, made=made: update.sample(
                 made.setup(), experience.make_experience(made.setup(), state, 0)[0], jax.random.key(1)
             )
         )

@@ -14,7 +14,7 @@ from infogoal_jax.learners import infogoal
 from infogoal_jax.learners.learner import LearnerBatch, SampleSpec
 from infogoal_jax.train.experience import Experience, first_dissimilarity
 from infogoal_jax.train.parts import Setup
-from infogoal_jax.train.sampling import sample_pairs
+from infogoal_jax.train.update import sample_pairs
 from tests import hand_made
 
 ROWS, STEPS, WINDOW, RADIUS = 24, 30, 3, 0.02

@@ -14,7 +14,7 @@ from hand_made import assert_same_bits, plain
 from infogoal_jax import Hyperparameters, UserError, make_train, pairs
 from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.runner.listeners import print_success
-from infogoal_jax.train.sampling import sample_pairs
+from infogoal_jax.train.update import sample_pairs
 
 LONG = {
     "num_epochs": 40,
