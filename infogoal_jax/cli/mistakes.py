@@ -41,6 +41,11 @@ def parsed(command: Any, prog: str, arguments: list[str], **settings: Any) -> An
         return tyro.cli(command, prog=prog, args=arguments, **settings)
 
 
+def field_of(flag: str) -> str:
+    """The field that a flag sets, without the part that has it."""
+    return flag.lstrip("-").rpartition(".")[2]
+
+
 def explanation(event: Any, arguments: list[str], known_flags: Callable[[], list[str]]) -> str:
     """What is wrong and what would be right; empty for a kind of mistake that is not known here."""
     argument = getattr(event, "argument", None)
@@ -49,7 +54,10 @@ def explanation(event: Any, arguments: list[str], known_flags: Callable[[], list
             flag = next((word.partition("=")[0] for word in event.tokens if word.startswith("-")), "")
             if not flag:
                 return f"{' '.join(map(shown, event.tokens))}: no flag takes it; leave it out"
-            return f"{flag}: there is no such flag.{nearest(flag, known_flags())}".rstrip(".")
+            known = list(dict.fromkeys(known_flags()))
+            of_other_parts = [repr(name) for name in known if field_of(name) == field_of(flag)]
+            meant = f" Did you mean {' or '.join(of_other_parts)}?" if of_other_parts else nearest(flag, known)
+            return f"{flag}: there is no such flag.{meant}".rstrip(".")
         case "MissingArgs":
             return f"{', '.join(name_of(missing.arg) for missing in event.missing_arguments)}: is missing; give it"
         case "BadValue" if event.reason == "too_few_values":

@@ -111,6 +111,7 @@ MISTAKES = [
     ("video runs/not_there --out a.mp4", ["run = 'runs/not_there'", "no such folder"]),
     ("train fetch_slide", ["fetch_slide", "no preset", "fetch_push"]),
     ("train object_search --method index", ["method = 'index'", "no such method", "leo"]),
+    ("train object_search --relabelling.num-goals 3", ["no such flag", "Did you mean '--agent.num-goals'?"]),
     ("train fetch_reach --env.backgrounds not_there", ["backgrounds = 'not_there'", "give a folder of images"]),
     ("methods her", ["task = 'her': is a method", "infogoal methods TASK her"]),
     ("record somewhere --simulate --size 0 0", ["size = (0, 0)", "such as 48 64"]),
