@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.shapes import with_rank
+
 MINIMUM_STD = 1e-3  # Added to softplus in the authors' encoder.
 
 
@@ -93,12 +95,12 @@ class PixelLayer(nn.Module):
     def __call__(self, images):
         seen = scaled(squares_of_fours(images))
         kernel = self.param("kernel", nn.initializers.lecun_normal(), (seen.shape[-1], 16))
-        bias = self.param("bias", nn.initializers.zeros_init(), (16,))
+        bias = with_rank(self.param("bias", nn.initializers.zeros_init(), (16,)), seen.ndim)
         if not self.standardise:
             return seen @ kernel + bias
         mean, deviation = (values[..., None, None] for values in contrast(to_scale(images)))
         # Without the barrier a GPU sums up the large gradient for the images, and once more for the bias.
-        offset = jax.lax.optimization_barrier(bias - mean / deviation * kernel.sum(0))
+        offset = jax.lax.optimization_barrier(bias - mean / deviation * with_rank(kernel.sum(0), seen.ndim))
         return seen @ kernel / deviation + offset
 
 
