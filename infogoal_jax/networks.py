@@ -94,8 +94,8 @@ class PixelLayer(nn.Module):
     @nn.compact
     def __call__(self, images):
         seen = scaled(squares_of_fours(images))
-        kernel = self.param("kernel", nn.initializers.lecun_normal(), (seen.shape[-1], 16))
-        bias = with_rank(self.param("bias", nn.initializers.zeros_init(), (16,)), seen.ndim)
+        kernel = self.param("kernel", nn.initializers.lecun_normal(), (seen.shape[-1], 16), jnp.float32)
+        bias = with_rank(self.param("bias", nn.initializers.zeros_init(), (16,), jnp.float32), seen.ndim)
         if not self.standardise:
             return seen @ kernel + bias
         mean, deviation = (values[..., None, None] for values in contrast(to_scale(images)))

@@ -28,6 +28,14 @@ def test_patches_are_put_back_together():
         np.testing.assert_array_equal(networks.unpatched(networks.patches(images, side), side), images)
 
 
+@pytest.mark.parametrize("standardise", [False, True])
+def test_layers_of_images_have_32_bits_whatever_jax_is_set_to(standardise):
+    layers = networks.GoalLayers((32, 16), 8, standardise)
+    with jax.enable_x64(True):
+        made = jax.eval_shape(layers.init_with_output, jax.random.key(0), IMAGES)
+    assert {leaf.dtype for leaf in jax.tree.leaves(made)} == {np.dtype("float32")}
+
+
 @pytest.mark.parametrize("standardise", [pytest.param(False, marks=pytest.mark.long), True])
 def test_targets_are_what_the_encoders_first_layer_sees(standardise):
     layers = networks.ImageLayers(standardise)
