@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import pytest
 from places import ROOT
 
-from infogoal_jax import presets
+from infogoal_jax import envs, presets
 from infogoal_jax.hyperparameters import with_values
 
 SMALL = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "batch_size": 8, "evaluation_starts": 1}
@@ -51,7 +51,7 @@ NEED = {
     "peers/fetch_peer_mjx.py": "MJX with Warp, or JaxGCRL",
     "peers/fetch_peer_mujoco.py": "the files of gymnasium-robotics",
     "peers/fetch_sb3_her.py": "Stable-Baselines3",
-    "peers/gridworld_peer_leo.py": "a checkout of purejaxgcrl",
+    "peers/gridworld_peer_leo.py": "a checkout of purejaxgcrl; our side is trained below",
     "peers/jaxgcrl_peer.py": "a checkout of JaxGCRL",
     "peers/ogbench_peer.py": "ogbench, and a checkout of it; tests/paper/test_ogbench.py runs our side",
     "peers/offline_peer.py": "PyTorch, and arrays that offline.py writes",
@@ -111,6 +111,21 @@ def test_runs_at_toy_size(name, words, monkeypatch, capfd, tmp_path):
     except SystemExit as end:
         assert not end.code
     assert capfd.readouterr().out.strip()
+
+
+@pytest.mark.long
+def test_our_side_beside_leo_is_trained(monkeypatch, request):
+    """Its gridworld is an environment of its own, of which no other test knows."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks" / "peers"))
+    import gridworld_peer_leo
+
+    for name, value in {"NUM_ENVS": 8, "ROLLOUT": 16, "BATCH": 16}.items():
+        monkeypatch.setattr(gridworld_peer_leo, name, value)
+    for registry in (envs.registry, presets.registry):
+        request.addfinalizer(lambda registry=registry: registry.pop(gridworld_peer_leo.TASK, None))
+    walls = jnp.pad(jnp.zeros((3, 3), bool), 1, constant_values=True)
+    found = gridworld_peer_leo.run_ours(walls, total_steps=256, hidden=(8, 8), points=2, seeds=2)
+    assert found.success.shape == (2, 2) and list(found.steps) == [128, 256]
 
 
 @pytest.mark.long

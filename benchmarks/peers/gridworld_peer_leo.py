@@ -108,10 +108,10 @@ class GridworldConfig:
 
 @flax.struct.dataclass
 class State:
-    """One episode: cell and goal are int32, time counts steps."""
+    """One episode: cell and desired goal are int32, time counts steps."""
 
     cell: jax.Array
-    goal: jax.Array
+    desired_goal: jax.Array
     time: jax.Array
     terminated: jax.Array
     truncated: jax.Array
@@ -141,7 +141,7 @@ class Gridworld(Environment):
 
     def step(self, state, action):
         cell, time = self.next_cell[state.cell, action], state.time + 1
-        terminated = cell == state.goal
+        terminated = cell == state.desired_goal
         truncated = (time >= self.episode_length) & ~terminated
         return state.replace(cell=cell, time=time, terminated=terminated, truncated=truncated)
 
