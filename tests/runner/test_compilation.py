@@ -140,7 +140,7 @@ def test_of_what_has_a_form_for_each_device_one_is_counted():
     [
         ("rooms", 3_300),
         pytest.param("object_search", 3_300, marks=pytest.mark.long),
-        pytest.param("fetch_reach", 10_000, marks=pytest.mark.long),
+        pytest.param("fetch_reach", 10_200, marks=pytest.mark.long),
         pytest.param("fetch_pick_and_place", 12_500, marks=pytest.mark.long),
     ],
 )
