@@ -132,12 +132,11 @@ def search(
     out = folder / CLEAN / task / method if clean else folder / task / method
     if (out / "best.json").exists():
         return out
-    learner, _, relabelling = method.partition("+")
     command = [
         "tune",
         task,
         "--method",
-        learner,
+        method,
         "--trials",
         str(trials),
         "--seeds",
@@ -149,10 +148,10 @@ def search(
     if task in EPOCHS:
         epochs, between = map(str, EPOCHS[task])
         command += ["--num-epochs", epochs, "--epochs-per-evaluation", between]
-    if learner in FIELDS:
+    if (learner := method.partition("+")[0]) in FIELDS:
         command += ["--fields", *FIELDS[learner], *AGENT_FIELDS.get(task, [])]
-    if relabelling or (task in WITH_HER and method in LEARNERS):
-        command += ["--relabelling", relabelling or "her"]
+    if task in WITH_HER and method in LEARNERS:
+        command += ["--relabelling", "her"]
     if clean:
         command += ["--hyper.test-epsilon", str(CLEAN_NOISE), "--space-seed", str(CLEAN_SPACE)]
     subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)

@@ -253,6 +253,19 @@ def test_a_clean_choice_is_the_best_of_the_drawn_settings_and_a_final_decides(tm
         noise.run_of("object_search+read", "gcb+her@clean", 7, toy=False)
 
 
+@pytest.mark.parametrize("method", ["infogoal", "infogoal+her", "infogoal+all_goals"])
+def test_a_search_asks_the_command_for_a_method_that_there_is(method, tmp_path, monkeypatch):
+    commands = []
+    monkeypatch.setattr(tuning, "data_of", lambda *_: [])
+    monkeypatch.setattr(tuning.subprocess, "run", lambda command, check: commands.append(command))
+    for task, other in (("object_search", None), ("object_manipulation", "her" if method == "infogoal" else None)):
+        tuning.search(task, method, 2, 2, tmp_path)
+        asked = {flag: value for flag, value in zip(commands[-1], commands[-1][1:], strict=False) if flag[:2] == "--"}
+        assert asked.get("--relabelling") == other
+        config = presets.load(task, asked["--method"], relabelling=other)
+        assert presets.name_of(config) == (method if other is None else "infogoal+her")
+
+
 def small(method: str, data_set: int, seed: int, value: float) -> dict[str, str]:
     """A row of the small preset, of validation goals in the house of the tuning, of test goals in others."""
     kinds = ("", str(value)) if data_set != tuning.SEED else (str(value), "")
