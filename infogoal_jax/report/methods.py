@@ -102,7 +102,7 @@ def print_combination(task: str, method: str, **parts: str | None) -> bool:
     config = presets.load(task, method, **parts)
     console, found = make_console(), reasons_against(config)
     named = f"{task} with {', '.join(f'{kind} {name}' for kind, name in presets.names_of(config).items())}"
-    named += ", all goals at once" if presets.loading.learns_all_goals(config) else ""
+    named += ", all goals at once" if presets.learns_all_goals(config) else ""
     lines = [f"{named}: {'does not work' if found else 'works'}"]
     lines += [f"{refusal.field} = {refusal.value!r}: {refusal.reason}: {refusal.remedy}" for refusal in found]
     for line in lines + ([] if found else remarks(config)):

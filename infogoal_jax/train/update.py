@@ -106,14 +106,11 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
 
 def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
     """Goal pairs for the contrastive bound, as the learner's `SampleSpec` asks (Algorithm 1, lines 16 to 20)."""
-    parts, _, env = setup
-    if parts.learner.sample_spec.radius is not None:
+    env, spec = setup.env, setup.parts.learner.sample_spec
+    if spec.radius is not None:
         return sample_pairs_by_distance(setup, experience, key)
-    spec, buffer, count = parts.learner.sample_spec, experience.buffer, experience.achieved_count
-    keys, shape = (
-        jax.random.split(key, 5),
-        (parts.learner.sample_spec.num_pairs, parts.learner.sample_spec.num_negatives),
-    )
+    buffer, count = experience.buffer, experience.achieved_count
+    keys, shape = jax.random.split(key, 5), (spec.num_pairs, spec.num_negatives)
     row, first, second = replay.sample_within_window(
         keys[0], buffer, experience.achieved, count, spec.num_pairs, spec.window
     )
