@@ -21,7 +21,9 @@ from infogoal_jax.replay import Trajectories
 from infogoal_jax.shapes import with_rank
 
 NUM_BLOCKS = 2
-MINIMUM_SCALE = 0.1  # Standard deviation of predictions: without it exact ones would make the likelihood unbounded.
+# Standard deviation of predictions: without it exact ones would make the likelihood unbounded. It is added, where the
+# authors clip, so that a gradient is left at the floor.
+MINIMUM_SCALE = 0.1
 MINIMUM_RETURN = (
     1e-3  # Standard deviation of the bonus's returns, in nats. Below it the bonus no longer tells moves apart.
 )
@@ -130,7 +132,7 @@ def make(config: SSEDBConfig) -> Explorer:
             "decoder": decoder(features.shape[-1]).init(keys[1], jnp.zeros(config.latent_size, jnp.float32)),
             "log_scale": jnp.zeros((), jnp.float32),
             "projection": projection.init(keys[2], features),
-            "score": jnp.eye(config.projection_size, dtype=jnp.float32),
+            "score": jnp.eye(config.projection_size, dtype=jnp.float32),  # The authors': uniform in 0 to 1.
         }
         return params, SSEDBState(jnp.zeros((), jnp.float32), jnp.eye(num_actions, dtype=jnp.float32))
 
