@@ -49,7 +49,9 @@ class Outcome:
     held_out: list[int]
     """Tasks whose goals' cells were out of training."""
     sizes: str = ""
-    """Batch and layers, where they are not OGBench's."""
+    """Batch and layers in words, where they are not OGBench's."""
+    own_sizes: bool = False
+    """Whether it has other layers than the tables, or another batch than those of its goals."""
     noisy: list[list[list[float]]] = dataclasses.field(default_factory=list)
     """As success, where the policy is told its goals with an error, or sees their pictures under backgrounds; empty
     where that was not asked for."""
@@ -95,16 +97,11 @@ def append(path: Path, outcome: Outcome) -> None:
 def take(paths: Iterable[Path]) -> dict[tuple, Outcome]:
     """Put these results into the numbers."""
     found = read([NUMBERS, *paths])
-    small = sorted({outcome.sizes for outcome in found.values() if is_small(outcome)})
+    small = sorted({outcome.sizes for outcome in found.values() if outcome.own_sizes})
     if small:
         raise UserError(f"files: results with {small[0]}; give those with OGBench's sizes alone")
     trial_numbers.write_compressed(NUMBERS, "".join(map(line_of, found.values())))
     return found
-
-
-def is_small(outcome: Outcome) -> bool:
-    """Whether its sizes are not those of the tables."""
-    return bool(outcome.sizes) and (outcome.goals == "states" or "layers" in outcome.sizes)
 
 
 def success_at(outcomes: Iterable[Outcome], updates: int, kind: str = "success") -> np.ndarray:

@@ -107,6 +107,10 @@ class Sizes:
         said = [f"batch {self.batch_size}"] if self.batch_size != 1024 else []
         return ", ".join(said + ([f"layers {self.hidden}"] if self.hidden != (512, 512, 512) else []))
 
+    def are_own(self, goals: str) -> bool:
+        """Whether a table of these goals, `states` or `images`, has others: with images it says its batch."""
+        return self.hidden != Sizes.hidden or (self.batch_size != Sizes.batch_size and goals == "states")
+
 
 TOY = Sizes(updates=8, evaluations=2, episodes=1, chunk=2, timed=2, batch_size=8, hidden=(16, 16))
 
@@ -598,6 +602,7 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         dataset=words.dataset,
         goals=goals_of(words),
         sizes=sizes.in_words(),
+        own_sizes=sizes.are_own(goals_of(words)),
     )
     tell = {"clean": lambda goals, first: goals, "noisy": wrong_by(words.goal_noise)}
     if program.show is not None:

@@ -67,7 +67,9 @@ def test_small_sizes_are_not_kept(numbers, tmp_path):
     ogbench.take([write(tmp_path / "first.jsonl", outcome(updates=(10,)))])
     before = numbers.read_bytes()
     with pytest.raises(UserError, match="batch 8.*OGBench's sizes"):
-        ogbench.take([write(tmp_path / "toy.jsonl", outcome(seeds=(0,), updates=(10,), sizes="batch 8"))])
+        ogbench.take(
+            [write(tmp_path / "toy.jsonl", outcome(seeds=(0,), updates=(10,), sizes="batch 8", own_sizes=True))]
+        )
     assert numbers.read_bytes() == before
 
 
@@ -199,6 +201,14 @@ def test_goals_as_pictures_have_a_table_of_their_own_whatever_the_batch(numbers,
     assert list(found) == ["encoders", "encoders_images"] and "| 0.50±0.00, 0.00±0.00 |" in found["encoders"]
     assert "0.50±0.00, 0.00±0.00, 0.10±0.00" in found["encoders_images"]
     assert "atch 256" in found["encoders_images"] and "weight 0.4 in the pictures" in found["encoders_images"]
-    for sizes, goals in (("batch 256", "states"), ("batch 8, layers (16, 16)", "images")):
-        with pytest.raises(UserError, match="OGBench's sizes"):
-            ogbench.take([write(tmp_path / "small.jsonl", outcome(**held, sizes=sizes, goals=goals))])
+
+
+def test_layers_and_the_batch_beside_states_have_to_be_ogbench_s(of_ogbench, monkeypatch):
+    """The numbers are asked, not the words that a table shows of them."""
+    monkeypatch.syspath_prepend(str(of_ogbench[0]))
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks" / "peers"))
+    from ogbench_peer import TOY, Sizes
+
+    own, smaller = Sizes(8, 2), Sizes(8, 2, batch_size=256)
+    assert [each.are_own("states") for each in (own, smaller, TOY)] == [False, True, True]
+    assert [each.are_own("images") for each in (own, smaller, TOY)] == [False, False, True]
