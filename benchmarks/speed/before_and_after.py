@@ -37,16 +37,14 @@ def lowered(name: str) -> tuple:
     import infogoal_jax
 
     task, method, seeds, count = name.split("/")
-    learner, _, relabelling = method.partition("+")
     sizes = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": int(count)}
-    sizes |= {"relabelling": relabelling} if relabelling else {}
     if task == "rooms":
         import hand_made
 
-        config = hand_made.config(learner, **sizes)
+        config = hand_made.config(method, **sizes)
         train = infogoal_jax.make_train(config, hand_made.environment())
     else:
-        config = infogoal_jax.presets.load(task, learner, **sizes)
+        config = infogoal_jax.presets.load(task, method, **sizes)
         train = infogoal_jax.make_train(config)
     jit = getattr(infogoal_jax, "jit", jax.jit)
     initial = jit(jax.vmap(train.initial, in_axes=(0, None, None)))

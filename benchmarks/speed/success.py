@@ -5,9 +5,8 @@
     python benchmarks/speed/success.py compare RUNS
 
 run: trains the seeds 0, 1, ... of a preset side by side, and keeps success of each at every evaluation, in a file of
-RUNS; --checkout: with the package in this folder. A method may name a relabelling, `infogoal+her`. compare: success on
-test goals at the last evaluation of both, and the difference with its 95 % interval, seeds paired, for every task that
-RUNS has twice.
+RUNS; --checkout: with the package in this folder. compare: success on test goals at the last evaluation of both, and
+the difference with its 95 % interval, seeds paired, for every task that RUNS has twice.
 """
 
 import argparse
@@ -28,8 +27,7 @@ def run(arguments: argparse.Namespace) -> None:
     from infogoal_jax.report.statistics import describe_machine
     from infogoal_jax.runner.compilation import compiler_options
 
-    learner, _, relabelling = arguments.method.partition("+")
-    config = presets.load(arguments.task, learner, relabelling=relabelling or None)
+    config = presets.load(arguments.task, arguments.method)
     train = make_train(config)
     keys = jax.vmap(jax.random.key)(np.arange(arguments.seeds))
     over = jax.vmap(lambda key, hyper, env: train(key, hyper, env).metrics, in_axes=(0, None, None))
