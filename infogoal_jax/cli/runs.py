@@ -100,16 +100,11 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
         out: File to write; must end in .zip.
         seed: Seed of the run; none: its first.
     """
-    from infogoal_jax.report.runs import diverged_seeds, table_of
-    from infogoal_jax.runs import configuration
     from infogoal_jax.runs import folder as folders
 
-    folder = folders.find_run(run)
-    chosen = configuration.read(folder).seeds[0] if seed is None else seed
-    require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
-    folders.pack(folder, Path(out), chosen)
+    evaluations = folders.pack(folders.find_run(run), Path(out), seed)
     # A run of recordings alone has no success, and cannot be evaluated.
-    has_success = any(name.endswith("success_rate") for name in table_of(folder, "evaluations").values)
+    has_success = any(name.endswith("success_rate") for name in evaluations[0])
     example = typed_command("evaluate" if has_success else "compare", out)
     tell(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: {example}")
     return 0

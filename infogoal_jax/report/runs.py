@@ -13,7 +13,6 @@ from infogoal_jax import checks
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
-from infogoal_jax.runner import training
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
@@ -124,7 +123,7 @@ class RunTable:
 
 def diverged_seeds(folder: Path) -> dict[int, int]:
     """Seeds whose loss or gradient stopped being finite, with the first such epoch."""
-    return training.diverged_seeds(tables.read_table(folder, "epochs"))
+    return tables.diverged_seeds(tables.read_table(folder, "epochs"))
 
 
 def table_of(folder: Path, name: str, leave_out=()) -> RunTable:

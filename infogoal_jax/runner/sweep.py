@@ -20,11 +20,9 @@ from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.runner import distributed, memory
 from infogoal_jax.runner.compilation import chunk_of, jit
 from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh, shardings_of
+from infogoal_jax.runs.tables import WATCHED
 from infogoal_jax.stopping import StopRequest
 from infogoal_jax.train.program import Train, TrainState
-
-WATCHED = ("agent/loss", "agent/gradient_norm")
-"""Metrics of an epoch that stop being finite when a member diverges."""
 
 
 class States(NamedTuple):

@@ -5,7 +5,7 @@ import dataclasses
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.imports import checksums, typed_command
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
-from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
+from infogoal_jax.runner.sweep import Callback, Member, Programs, Sweep, side_by_side, train_sweep
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
 from infogoal_jax.runs.configuration import MOST_SEEDS, Description
@@ -85,16 +85,6 @@ def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> 
         for j, number in enumerate(epoch_numbers)
         for i, seed in enumerate(seeds)
     ]
-
-
-def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
-    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table
-    `epochs`."""
-    diverged: dict[int, int] = {}
-    for row in rows:
-        if any(not math.isfinite(row[name]) for name in WATCHED):
-            diverged.setdefault(row["seed"], row["epoch"])
-    return dict(sorted(diverged.items()))
 
 
 def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
@@ -207,7 +197,7 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
     params, diverged = jax.device_get(distributed.gathered(sweep.states.state.params)), {}
     if distributed.is_writer():
         files.save_policy(params)  # Again, if a kill came between the two files.
-        diverged = diverged_seeds(tables.read_table(folder, "epochs"))
+        diverged = tables.diverged_seeds(tables.read_table(folder, "epochs"))
     return RunResult(folder, train, params, diverged, stopped=not sweep.finished)
 
 

@@ -197,19 +197,22 @@ def shipped() -> list[str]:
     return sorted(PREFIX + path.stem for path in SHIPPED.glob(f"*{SUFFIX}"))
 
 
-def pack(folder: Path, out: Path, seed: int) -> None:
-    """Write one seed of the run in this folder as a file, with the epochs that were evaluated.
+def pack(folder: Path, out: Path, seed: int | None = None) -> list[tables.Row]:
+    """Write one seed of the run in this folder as a file, with the epochs that were evaluated, and return the rows of
+    its evaluations. seed: None: the first of the run.
 
-    Raises `UserError` for a folder without a run, a seed that the run does not have or that was never evaluated, a file
-    of somebody else in the way, or a disk that refuses.
+    Raises `UserError` for a folder without a run, a seed that the run does not have, that diverged or was never
+    evaluated, a file of somebody else in the way, or a disk that refuses.
     """
     about = configuration.read(folder)
+    seed = about.seeds[0] if seed is None else seed
     require(out.suffix == SUFFIX, "out", str(out), f"give a file that ends in {SUFFIX}")
     disk.check_out(out)
     require(may_be_replaced(out), "out", str(out), "is there already and is no packed run; give a new file")
     require(seed in about.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, about.seeds))}")
     evaluations = [row for row in tables.read_table(folder, "evaluations") if row["seed"] == seed]
     epochs = [row for row in tables.read_table(folder, "epochs") if row["seed"] == seed]
+    require(not tables.diverged_seeds(epochs), "seed", seed, "diverged in training: give another one")
     require(bool(evaluations), "run", str(folder), f"seed {seed} was never evaluated: train it to its first evaluation")
     place = about.seeds.index(seed)
     about = dataclasses.replace(about, seeds=[seed])
@@ -226,6 +229,7 @@ def pack(folder: Path, out: Path, seed: int) -> None:
             tables.append_rows(one, table, rows)
         disk.make_folder(out.parent)
         disk.write_atomically(out, lambda file: write_zip(file, one))
+    return evaluations
 
 
 def keep_copies(folder: Path, one: Path, names: Iterable[str]) -> None:

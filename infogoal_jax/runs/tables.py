@@ -9,6 +9,7 @@ import csv
 import dataclasses
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from infogoal_jax.runs.disk import Place, decode, disk_error, parse, parse_lines
 MOST_OF_TIMES = 1e15
 """Of seconds, and of anything a second."""
 TABLES = ("epochs", "evaluations")
+WATCHED = ("agent/loss", "agent/gradient_norm")
+"""Metrics of an epoch that stop being finite when a member diverges."""
 Row = dict[str, Any]
 
 
@@ -93,6 +96,16 @@ def is_numbers(value: Any) -> bool:
     if isinstance(value, list):
         return all(is_numbers(item) for item in value)
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def diverged_seeds(rows: Sequence[Row]) -> dict[int, int]:
+    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table
+    `epochs`."""
+    diverged: dict[int, int] = {}
+    for row in rows:
+        if any(not math.isfinite(row[name]) for name in WATCHED):
+            diverged.setdefault(row["seed"], row["epoch"])
+    return dict(sorted(diverged.items()))
 
 
 def rows_until(folder: Path, table: str, seeds: Sequence[int], epochs: Sequence[int]) -> list[Row]:

@@ -279,9 +279,11 @@ def test_a_packed_run_is_a_run_of_one_seed(sweep, env, packed, tmp_path):
     assert load_run(packed).folder == run.folder and not list(run.folder.parent.glob(".*"))
 
 
-def test_what_is_no_packed_run_is_refused(sweep, packed, tmp_path, capsys):
+def test_what_is_no_packed_run_is_refused(sweep, diverged_run, packed, tmp_path, capsys):
     with pytest.raises(UserError, match="seed = 9: the run has the seeds 3, 4, 5"):
         pack(sweep.folder, tmp_path / "nine.zip", 9)
+    with pytest.raises(UserError, match="seed = 4: diverged in training: give another one"):
+        pack(diverged_run, tmp_path / "diverged.zip", 4)
     with pytest.raises(UserError, match=r"out = .* ends in \.zip"):
         pack(sweep.folder, tmp_path / "four.tar", 4)
     (tmp_path / "damaged.zip").write_bytes(packed.read_bytes()[:-100])

@@ -3,7 +3,6 @@
 import pytest
 
 from infogoal_jax.report.sweeps import print_sweep
-from infogoal_jax.runner import training
 from infogoal_jax.runner.jobs import Plan
 from infogoal_jax.runs import tables
 
@@ -19,7 +18,7 @@ def test_settings_that_were_trained_for_longer_are_told_from_others(longest, tmp
     for name, epoch, success in zip(plan.names, (4, longest), (0.25, 0.5), strict=True):
         (tmp_path / name).mkdir()
         tables.append_rows(tmp_path / name, "evaluations", rows_until(epoch, success))
-        tables.append_rows(tmp_path / name, "epochs", [dict.fromkeys(training.WATCHED, 1.0) | {"seed": 0, "epoch": 1}])
+        tables.append_rows(tmp_path / name, "epochs", [dict.fromkeys(tables.WATCHED, 1.0) | {"seed": 0, "epoch": 1}])
     print_sweep(tmp_path, plan)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ("epoch" in printed[0]) == (longest > 4)
