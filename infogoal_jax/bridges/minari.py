@@ -11,6 +11,7 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.episodes import Episodes, as_array
+from infogoal_jax.envs.goal_task import between
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import MOST_CHANNELS
 
@@ -65,7 +66,8 @@ def episodes_of(dataset: Any) -> Episodes:
         columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
     different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
     require(True not in different, "observations", "episodes of different shapes", "give one shape")
-    return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()})
+    bounds = np.stack([low, high]) if (low != -1).any() or (high != 1).any() else None
+    return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()}, action_bounds=bounds)
 
 
 def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -101,9 +103,9 @@ def to_minari(episodes: Episodes, out: str | os.PathLike) -> Path:
     """Write the episodes as the Minari dataset `out`, FOLDER/NAME-v0, which `episodes_of` reads back. With
     MINARI_DATASETS_PATH=FOLDER `minari.load_dataset("NAME-v0")` finds it.
 
-    Observations are those of a `GoalEnv` where the goals are known. Rewards are 0, since episodes have none, and the
-    end of an episode is a truncation. Raises `UserError` if Minari is missing, `out` is there already, its name is none
-    of Minari's, or the disk refuses.
+    Actions lie between their bounds again. Observations are those of a `GoalEnv` where the goals are known. Rewards are
+    0, since episodes have none, and the end of an episode is a truncation. Raises `UserError` if Minari is missing,
+    `out` is there already, its name is none of Minari's, or the disk refuses.
     """
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
     out = Path(checks.path(out, "out"))
@@ -131,7 +133,10 @@ def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: 
         seen |= {"achieved_goal": episodes.achieved_goals, "desired_goal": episodes.desired_goals}
     of_goals = len(seen) > 1
     described = spaces.Dict({key: space(values) for key, values in seen.items()})
-    actions = spaces.Box(-1.0, 1.0, episodes.actions.shape[1:], np.float32)
+    low, high = np.float32([[-1], [1]]) if episodes.action_bounds is None else episodes.action_bounds
+    taken = np.clip(between((low, high), episodes.actions), low, high)
+    lowest, highest = (np.broadcast_to(bound, taken.shape[1:]) for bound in (low, high))
+    actions = spaces.Box(lowest, highest, dtype=np.float32)
     storage = MinariStorage.new(
         folder, described if of_goals else described["observation"], actions, jpeg_encoding=False
     )
@@ -147,7 +152,7 @@ def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: 
                 EpisodeBuffer(
                     observations=shown if of_goals else shown["observation"],
                     infos={},
-                    actions=np.clip(episodes.actions[start : end - 1], -1.0, 1.0),
+                    actions=taken[start : end - 1],
                     rewards=np.zeros(steps),
                     terminations=np.zeros(steps, bool),
                     truncations=np.arange(steps) == steps - 1,

@@ -198,11 +198,12 @@ def import_minari(name: Positional[str], out: str) -> int:
         said = (str(error) or type(error).__name__).splitlines()[0]
         remedy = f"Minari cannot load it ({said}); fetch it with: minari download {typed(name)}"
         raise UserError(f"name = {name!r}: {remedy}") from error
-    episodes, (low, high) = minari.episodes_of(dataset), minari.bounds_of(dataset)
+    episodes = minari.episodes_of(dataset)
     save(out, episodes)
     tell(f"{out}: {describe(episodes)}")
-    if (low != -1).any() or (high != 1).any():
-        tell(f"actions from {low.tolist()} to {high.tolist()} were scaled to -1 to 1")
+    if episodes.action_bounds is not None:
+        low, high = episodes.action_bounds.tolist()
+        tell(f"actions from {low} to {high} were scaled to -1 to 1")
     return 0
 
 

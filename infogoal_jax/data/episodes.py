@@ -7,6 +7,7 @@ after episode. `load` reads one, `check_episodes` says everything that is wrong 
     terminals          [N], 0 or 1                         1 for the last observation of an episode
     achieved_goals     float32 [N, D], optional            the goal that was achieved, of a `GoalEnv`
     desired_goals      float32 [N, D], optional            the goal that was desired
+    action_bounds      float32 [2, A], optional            what -1 and 1 are where it was recorded; the same if missing
 
 The layouts that `ogbench.load_dataset` makes in memory are read too: compact, with `valids`, and regular, with
 `next_observations`.
@@ -33,6 +34,7 @@ SCHEMA = {
     "terminals": Member("0 or 1", ("rows",)),
     "achieved_goals": GOAL,
     "desired_goals": GOAL,
+    "action_bounds": Member("number", ((2,), "numbers of an action"), needed=False),
     "valids": Member("0 or 1", ("rows",), needed=False),
     "next_observations": VECTORS._replace(needed=False),
 }
@@ -57,6 +59,8 @@ class Episodes:
     """float32 [N, D]; None: unknown."""
     desired_goals: np.ndarray | None = None
     """float32 [N, D]; None: unknown."""
+    action_bounds: np.ndarray | None = None
+    """float32 [2, A], what -1 and 1 of an action are where it was recorded; None: the same."""
 
     def __post_init__(self):
         members = {name: as_array(name, array) for name, array in self.members().items()}
@@ -67,8 +71,8 @@ class Episodes:
 
     def members(self) -> dict[str, np.ndarray]:
         """The members of a file of them."""
-        goals = {name: getattr(self, name) for name in GOALS}
-        found = {"observations": self.observations, "actions": self.actions, "terminals": self.last} | goals
+        others = {name: getattr(self, name) for name in (*GOALS, "action_bounds")}
+        found = {"observations": self.observations, "actions": self.actions, "terminals": self.last} | others
         return {name: array for name, array in found.items() if array is not None}
 
     @property
@@ -138,7 +142,10 @@ def regular(found: dict[str, np.ndarray], last: np.ndarray) -> Episodes:
     nothing = np.zeros((len(ends), *actions.shape[1:]), actions.dtype)
     marks = np.insert(np.zeros(len(observations)), ends + 1, 1)
     return Episodes(
-        np.insert(observations, ends + 1, following[ends], 0), np.insert(actions, ends + 1, nothing, 0), marks
+        np.insert(observations, ends + 1, following[ends], 0),
+        np.insert(actions, ends + 1, nothing, 0),
+        marks,
+        action_bounds=found.get("action_bounds"),
     )
 
 
@@ -183,6 +190,9 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     for row in np.flatnonzero(beyond)[:1]:
         given = f"is {found['actions'][row].tolist()}, and {beyond.sum():,} rows go beyond -1 to 1"
         yield f"actions[{row}]", f"{given}; divide by the largest action"
+    low, high = found.get("action_bounds", ((0,), (1,)))
+    if not np.less(low, high).all():
+        yield "action_bounds", f"is {found['action_bounds'].tolist()}; give the lowest actions, then the highest"
     for name in ("terminals", "valids"):
         for row in np.flatnonzero(~np.isin(found.get(name, 0), (0, 1)))[:1]:
             yield f"{name}[{row}]", f"is {found[name][row]}; give 0 or 1"

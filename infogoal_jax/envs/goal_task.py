@@ -36,6 +36,12 @@ class GoalTaskConfig:
     """File of recorded episodes to learn from offline (docs/reference/datasets.md); empty: the agent acts."""
 
 
+def between(bounds: Any, action: Any) -> Any:
+    """An action from -1 to 1 as one between the lowest [A] and the highest [A]."""
+    low, high = bounds
+    return (low + high) / 2 + (high - low) / 2 * action
+
+
 def traits(config: GoalTaskConfig) -> Traits:
     """What such a task, whose actions are vectors, can be combined with."""
     recorded = bool(config.dataset)
@@ -78,6 +84,8 @@ class GoalTask(Environment):
 
     discrete = False
     source = "simulated"
+    action_bounds = None
+    """float32 [2, A], what -1 and 1 of an action are where it is taken; None: the same."""
     starts = STARTS
     """Starts that are drawn to find one at which the goal is not reached yet."""
 
@@ -107,6 +115,12 @@ class GoalTask(Environment):
     def recorded_observation(self, episodes: Episodes) -> np.ndarray:
         """What the agent sees of the observations of a recording, [N, ...]: the same."""
         return episodes.observations
+
+    def own_action(self, action: jax.Array) -> jax.Array:
+        """The action between the bounds that it has where it is taken."""
+        if self.action_bounds is None:
+            return action
+        return jnp.clip(between(self.action_bounds, action), *self.action_bounds)
 
     def fails(self, world: Any) -> jax.Array:
         """Whether the episode has failed in this world, bool; where `can_fail`."""

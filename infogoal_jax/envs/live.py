@@ -24,14 +24,13 @@ from typing import Any, NamedTuple
 
 import flax.struct
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs import adapters
 from infogoal_jax.envs.adapters import AdaptedTask
-from infogoal_jax.envs.goal_task import Episode
+from infogoal_jax.envs.goal_task import Episode, between
 from infogoal_jax.errors import UserError, nearest, reason, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 
@@ -80,10 +79,10 @@ class LiveTask(AdaptedTask):
         apart = achieved is not None and seen.ndim == 2 and seen.shape[1] + achieved.shape[1] == len(self.shown)
         return np.concatenate([achieved, seen], 1) if apart else super().recorded_observation(episodes)
 
-    def own_action(self, action: jax.Array) -> jax.Array:
-        """The action between the bounds that the environment has."""
-        low, high = self.env.bounds
-        return jnp.clip((low + high) / 2 + (high - low) / 2 * action, low, high)
+    @property
+    def action_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the environment."""
+        return self.env.bounds
 
 
 def from_gymnasium(
@@ -200,8 +199,6 @@ class Simulator:
         self.name = getattr(getattr(self.env, "spec", None), "id", None) or type(self.env.unwrapped).__name__
         self.radius = 0.0
         self.shapes = {name: self.env.observation_space[name].shape for name in PARTS}
-        actions = self.env.action_space
-        self.centre, self.half = (actions.high + actions.low) / 2, (actions.high - actions.low) / 2
         self.layers = [self.env]
         while hasattr(self.layers[-1], "env"):
             self.layers.append(self.layers[-1].env)
@@ -332,7 +329,8 @@ class Simulator:
 
     def step(self, action: np.ndarray) -> Row:
         """One step from the state that the environment is in; the action lies in [-1, 1]."""
-        action = (self.centre + self.half * action).astype(self.env.action_space.dtype)
+        space = self.env.action_space
+        action = between((space.low, space.high), action).astype(space.dtype)
         seen, _, terminated, truncated, _ = self.env.step(action)
         away = np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) >= self.radius
         return Row(self.read(), self.observed(seen), np.float32(bool(terminated) and away), np.bool_(truncated))

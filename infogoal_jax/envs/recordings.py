@@ -48,6 +48,10 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
         episodes.actions.shape[1],
         f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}",
     )
+    bounds, own = episodes.action_bounds, task.action_bounds
+    if bounds is not None and own is not None:
+        remedy = f"give recordings of the task, whose actions have {np.asarray(own).tolist()}"
+        require(np.allclose(bounds, own), "action_bounds", bounds.tolist(), remedy)
     achieved = episodes.achieved_goals
     if achieved is None:
         achieved = np.asarray(jax.jit(jax.vmap(task.achieved_in))(episodes.observations))
@@ -71,6 +75,8 @@ class RecordedTask(GoalTask):
 
     action_size: int = flax.struct.field(pytree_node=False, default=1)
     """Numbers in an action."""
+    action_bounds: np.ndarray | None = None
+    """Those of the recordings."""
     source: str = flax.struct.field(pytree_node=False, default="recordings alone; success is measured elsewhere")
     """What is told of it."""
 
@@ -133,7 +139,13 @@ def from_recordings(
     )
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)
     longest = int(episodes.lengths.max())
-    task = RecordedTask(space, radius=MARGIN, episode_length=longest, action_size=episodes.actions.shape[1])
+    task = RecordedTask(
+        space,
+        radius=MARGIN,
+        episode_length=longest,
+        action_size=episodes.actions.shape[1],
+        action_bounds=episodes.action_bounds,
+    )
     return with_recordings(task, alone)
 
 

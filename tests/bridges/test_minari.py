@@ -1,6 +1,7 @@
 """Minari reads and records our tasks, and recorded episodes go there and back. Needs Minari; without it only its
 absence is tested, and what is refused before it is asked for."""
 
+import dataclasses
 import gc
 import importlib.util
 import sys
@@ -83,6 +84,21 @@ def test_recorded_episodes_go_to_minari_and_back(tmp_path, monkeypatch, capsys, 
     assert back.members().keys() == episodes.members().keys()
     for name, values in episodes.members().items():
         np.testing.assert_array_equal(back.members()[name], values, err_msg=name)
+
+
+@needs_minari
+def test_bounds_of_actions_go_to_minari_and_back(tmp_path, monkeypatch):
+    import minari
+
+    bounds = np.array([[0.0, -0.5], [3.0, 0.5]], np.float32)
+    episodes = dataclasses.replace(made_up(np.float32, False), action_bounds=bounds)
+    to_minari(episodes, tmp_path / "walks-v0")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    kept = minari.load_dataset("walks-v0")
+    np.testing.assert_array_equal([kept.action_space.low, kept.action_space.high], bounds)
+    back = episodes_of(kept)
+    np.testing.assert_array_equal(back.action_bounds, bounds)
+    np.testing.assert_allclose(back.actions, episodes.actions, atol=1e-6)
 
 
 @pytest.mark.parametrize(

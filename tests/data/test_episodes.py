@@ -105,6 +105,14 @@ FAULTS = {
         {"observations": np.zeros((12, 3, 8, 8), np.uint8)},
         ["observations: is [12, 3, 8, 8], more channels than rows; give [N, H, W, C]"],
     ),
+    "bounds the other way round": (
+        {"action_bounds": np.array([[1.0], [-1.0]])},
+        ["action_bounds: is [[1.0], [-1.0]]; give the lowest actions, then the highest"],
+    ),
+    "bounds of other actions": (
+        {"action_bounds": np.array([[0.0, 0.0], [1.0, 1.0]])},
+        ["action_bounds: has 2 numbers of an action, but actions has 1"],
+    ),
     "other marks": ({"terminals": np.full(12, 2.0)}, ["terminals[0]: is 2.0; give 0 or 1"]),
     "nothing but ends": ({"terminals": np.ones(12)}, ["terminals: no episode has a step"]),
     "nothing": (
@@ -394,6 +402,34 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
     goal = jnp.asarray(SIDE[3])
     assert task.reached(goal, goal) and np.array_equal(task.goals.inputs_of(goal), goal)
     assert np.abs(from_recordings(episodes, scaled=True).goals.inputs_of(jnp.asarray(SIDE))).max() <= 1
+
+
+def test_a_policy_of_minari_s_recordings_acts_between_the_bounds_that_they_had(tmp_path):
+    """The file tells them: its own actions lie from -1 to 1, and so do those of the policy that learns from them."""
+    low, high = np.array([0.0, -0.2], np.float32), np.array([3.0, 0.2], np.float32)
+    walk = SimpleNamespace(observations=numbers(3, 2), actions=np.array([[0.0, 0.2], [3.0, -0.1], [1.5, 0.0]]))
+    space = SimpleNamespace(low=low, high=high)
+    save(tmp_path / "walks.npz", episodes_of(SimpleNamespace(action_space=space, iterate_episodes=lambda: [walk])))
+    task, given = from_recordings(tmp_path / "walks.npz"), np.array([[-1, -1], [0, 0], [2, 1]], np.float32)
+    assert np.array_equal(task.own_action(given), np.array([low, [1.5, 0.0], high], np.float32))
+    assert check_episodes(tmp_path / "walks.npz") == []
+    plain = from_recordings(of_arrays(recorded(actions=np.zeros((12, 2)))))
+    assert np.array_equal(plain.own_action(given), given)
+
+
+def test_recordings_with_other_bounds_of_actions_than_the_task_s_are_refused():
+    class Stronger(type(maze())):
+        action_bounds = np.array([[-2.0, -2.0], [2.0, 2.0]], np.float32)
+
+    task = Stronger(maze().goals)
+    for bounds, fits in ((2.0, True), (1.0, False)):
+        own = np.array([[-bounds] * 2, [bounds] * 2], np.float32)
+        made = of_arrays(recorded(observations=SIDE, actions=SIDE, action_bounds=own))
+        if fits:
+            assert with_recordings(task, made).recorded is not None
+        else:
+            with pytest.raises(UserError, match=r"action_bounds = .*-1.0.*: give recordings of the task, .*-2.0"):
+                with_recordings(task, made)
 
 
 def test_a_region_of_recorded_states_is_held_out():
