@@ -381,15 +381,14 @@ def main():
         path.write_text(text)
     if arguments.pictures:
         with figure_style():
-            save(learning_figure(numbers.load(RESULTS)), picture := RESULTS / "learning.png")
+            save(learning_figure(numbers.load(RESULTS)), RESULTS / "learning.png")
             draw_sb3(sb3_curves(), SB3_HER / "learning.png")
             save(noise_numbers.figure(noise_numbers.read()), RESULTS / "noise.png")
         all_goals.draw_figure(numbers.load(RESULTS), RESULTS / "all_goals.png")
         beside = jaxgcrl.read()
         jaxgcrl.draw(beside["beside"], beside["alone"], RESULTS / "jaxgcrl.png")
         drawn = (
-            picture,
-            *(RESULTS / f"{name}.png" for name in ("noise", "all_goals", "jaxgcrl")),
+            *(RESULTS / f"{name}.png" for name in ("learning", "sb3_her/learning", "noise", "all_goals", "jaxgcrl")),
             *continuous.draw_all(),
         )
         for path in drawn:
