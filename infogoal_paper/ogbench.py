@@ -199,11 +199,11 @@ def encoders(outcomes: list[Outcome]) -> str:
                 f" ({len(success)})" if len(success) != usual else ""
             )
     noise = ", ".join(sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy}))
-    cell = "A cell: tasks with goals as in training, held out"
+    cell = "A cell: goals as in training, held out"
     if outcomes[0].goals == "images":
-        cell += f", all with backgrounds of weight {noise} in the pictures of goals"
+        cell += f", all with a background of weight {noise}"
     elif noise:
-        cell += f", all with goals told wrong by {noise} (one standard deviation)"
+        cell += f", all told wrong by {noise} (standard deviation)"
     head = ["goal encoder", *(f"`{NAMES.get(agent, agent)}`" for agent in agents)]
     table = markdown_lines(head, [[learner, *cells.values()] for learner, cells in rows.items()])
     return f"{table}\n\n{foot(outcomes, marks)} {usual} seeds. {cell}."

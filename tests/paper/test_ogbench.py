@@ -200,7 +200,7 @@ def test_goals_as_pictures_have_a_table_of_their_own_whatever_the_batch(numbers,
     found = ogbench.of_outcomes(ogbench.take([write(tmp_path / "both.jsonl", outcome(**held), pictured)]))
     assert list(found) == ["encoders", "encoders_images"] and "| 0.50±0.00, 0.00±0.00 |" in found["encoders"]
     assert "0.50±0.00, 0.00±0.00, 0.10±0.00" in found["encoders_images"]
-    assert "atch 256" in found["encoders_images"] and "weight 0.4 in the pictures" in found["encoders_images"]
+    assert "atch 256" in found["encoders_images"] and "a background of weight 0.4." in found["encoders_images"]
 
 
 def test_layers_and_the_batch_beside_states_have_to_be_ogbench_s(of_ogbench, monkeypatch):
