@@ -19,21 +19,12 @@ SMALL = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "b
 COLLECTED = {"num_envs": 2, "rollout_steps": 3, "buffer_steps": 100}
 
 RUN = {
-    "speed/training.py": [
-        "rates --repeats 1",
-        "rates --tasks fetch_pick_and_place --repeats 1",
-        "size",
-        "methods --methods her --repeats 1",
-        "goals --goals 24 --rows her head --updates 2 --repeats 1",
-        "devices --seeds 2 --repeats 1",
-        "evaluating --seeds 2 --repeats 1",
-    ],
+    "speed/training.py": ["rates --repeats 1", "rates --tasks fetch_pick_and_place --repeats 1", "size"],
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],
     "speed/before_and_after.py": [f"{ROOT} --programs rooms/her/1/2 rooms/infogoal/2/2 --rounds 1 --turns 1"],
     "speed/success.py": ["run after object_search infogoal --seeds 2 --out {tmp}"],
-    "speed/dataset_loading.py": ["--scenes 2 --image-width 32"],
-    "speed/fetch.py": ["--tasks fetch_reach --batch 2", "--tasks fetch_reach --images --seeds 1 --updates 2"],
+    "speed/fetch.py": ["--tasks fetch_reach --batch 2"],
     "speed/first_run.py": ["run --seeds 1", "update --seeds 1"],
     "speed/first_steps.py": ["--only help"],
     "goals/continuous.py": ["negatives --seeds 1 --num-epochs 1 --only trajectory --out {tmp}/study.json"],
