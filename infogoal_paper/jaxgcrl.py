@@ -1,7 +1,8 @@
-"""Our agents beside JaxGCRL's own programs: the results of benchmarks/peers/jaxgcrl_peer.py.
+"""Our agents beside JaxGCRL's own programs, and with goal encoders before them: the results of
+benchmarks/peers/jaxgcrl_peer.py.
 
     python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.gz
-    python -m infogoal_paper.pages jaxgcrl                            # write the table of docs/reference/vectors.md
+    python -m infogoal_paper.pages jaxgcrl                            # write the tables of docs/reference/vectors.md
 
 Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
 themselves: their seconds for a round stand in the table. What is there already of a program and seed is replaced.
@@ -34,8 +35,10 @@ SUCCESS = 0.5
 """The success that seconds are counted to."""
 LEARNED = 0.05
 """The success from which on a task is drawn."""
-COLOURS = dict(zip(("ours", "theirs", "ours+infogoal"), ROOM_COLOURS, strict=False))
-"""Of the sides."""
+SIDES = ("ours", "theirs")
+"""What is compared; other sides of ours, as `ours+infogoal`, have a goal encoder."""
+COLOURS = dict(zip((*SIDES, "ours+infogoal"), ROOM_COLOURS, strict=False))
+"""Of the sides that are drawn."""
 
 
 @dataclasses.dataclass
@@ -128,12 +131,12 @@ def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
     """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are, where
     both were timed alone, or both beside others."""
     lines, timed = [], {each.program() for each in alone}
-    for task, agent, sides in compared(outcomes, alone):
+    for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
             alike = ((task, agent, side) in timed) == ((task, agent, "theirs") in timed)
-            success = [tight(mean_interval(curves[:, place])) for place in (-1, np.abs(steps - reached).argmin())]
+            success = [tight(mean_interval(found)) for found in (curves[:, -1], success_at(outcome, reached))]
             speeds = [
                 f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and alike and side != "theirs" else "")
                 for own, other in (
@@ -146,6 +149,26 @@ def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
             seeds = max(len(curves), outcome.side_by_side)
             lines.append([f"{task}, {agent}", f"{side}, {seeds}", f"{steps[-1] / 1e6:.2f}", *success, *speeds, half])
     return lines
+
+
+def success_at(outcome: Outcome, steps: float) -> np.ndarray:
+    """Of each seed [seeds], at the evaluation next to so many steps."""
+    return np.array(outcome.success)[:, np.abs(np.array(outcome.steps) - steps).argmin()]
+
+
+def encoders(outcomes: Iterable[Outcome]) -> str:
+    """Success with each goal encoder, after the steps that all of a task and agent have; empty where no encoder ran."""
+    own = (each for each in outcomes if each.side != "theirs")
+    columns = {(task, agent): sides for task, agent, sides in compared(own, []) if len(sides) > 1}
+    names = list(dict.fromkeys(side for sides in columns.values() for side in sides))
+    if not names:
+        return ""
+    lines = [[name.removeprefix("ours").removeprefix("+") or "none"] for name in names]
+    for sides in columns.values():
+        reached = min(each.steps[-1] for each in sides.values())
+        for name, line in zip(names, lines, strict=True):
+            line.append(tight(mean_interval(success_at(sides[name], reached))) if name in sides else "")
+    return markdown_lines(["goal encoder", *(f"{task}, {agent}" for task, agent in columns)], lines)
 
 
 HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]
@@ -174,9 +197,11 @@ def take(beside: list[Path], alone: list[Path]) -> None:
 
 
 def tables() -> dict[str, str]:
-    """The table of the page; none without numbers."""
+    """The tables of the page; none without numbers."""
     kept = read()
-    return {"peers": markdown_lines(HEAD, rows(kept["beside"], kept["alone"]))} if kept["beside"] else {}
+    beside = rows(kept["beside"], kept["alone"])
+    found = {"peers": markdown_lines(HEAD, beside) if beside else "", "encoders": encoders(kept["beside"])}
+    return {name: table for name, table in found.items() if table}
 
 
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
@@ -193,6 +218,8 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
         panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
         for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
             for side, outcome in sides.items():
+                if side not in COLOURS:
+                    continue
                 curves, colour = np.array(outcome.success), COLOURS[side]
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
                 draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
@@ -213,7 +240,7 @@ def main() -> None:
     parser.add_argument("--alone", nargs="*", type=Path, default=[], metavar="FILE")
     arguments = parser.parse_args()
     take(arguments.files, arguments.alone)
-    print(tables().get("peers", ""))
+    print("\n\n".join(tables().values()))
 
 
 if __name__ == "__main__":

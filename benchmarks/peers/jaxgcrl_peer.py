@@ -3,7 +3,7 @@ against seconds and steps, steps and updates a second.
 
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
-        [--steps 2000000] [--evaluations 10] [--sides ours theirs ours+infogoal]
+        [--steps 2000000] [--evaluations 10] [--sides ours theirs ours+infogoal "ours+infogoal, beta 0" ours+vae]
         [--budget 540] [--first-seed 0] [--rounds 10]
     python -m infogoal_paper.jaxgcrl RESULTS.json ...    # the table
 
@@ -14,9 +14,9 @@ size for a CPU, which checks that everything runs.
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
 and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. The side
-ours+infogoal puts InfoGoal's code in place of the goal. Success is the fraction of episodes in which the goal is
-reached. For our TD3 and SAC, whose values lie between 0 and 1, an episode ends there; it goes on for contrastive RL, as
-for all of theirs.
+ours+infogoal puts InfoGoal's code in place of the goal, the others those of other goal encoders, as `ogbench_peer.py`
+sets them. Success is the fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie
+between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
 counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
@@ -38,19 +38,21 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from ogbench_peer import LEARNERS
 
 from infogoal_jax import envs, jit, make_train, presets, use_compilation_cache
 from infogoal_jax.bridges.brax import brax_training
 from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl, jaxgcrl_environment
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import chunk_of
 from infogoal_paper.jaxgcrl import Outcome, load
 
 OURS = presets.JAXGCRL.training
 """Our sizes, which are JaxGCRL's own where it has them."""
-SIDES = {"ours": "none", "ours+infogoal": "infogoal"}
-"""The goal learner of each side of ours."""
+SIDES = {"ours" if name == "none" else f"ours+{name}": name for name in LEARNERS}
+"""The goal encoder of each side of ours."""
 STEPS_PER_UPDATE = OURS["num_envs"] * OURS["rollout_steps"] // OURS["updates_per_epoch"]
 
 
@@ -105,9 +107,10 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
     presets.register(name, task_env, presets.JAXGCRL)
     collected = sizes.num_envs * sizes.our_steps
     per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
+    method, floats, fields = LEARNERS[SIDES[side]]
     config = presets.load(
         name,
-        SIDES[side],
+        method,
         agent=agent,
         num_epochs=sizes.evaluations * per_evaluation,
         epochs_per_evaluation=per_evaluation,
@@ -117,8 +120,9 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
         batch_size=sizes.batch_size,
         buffer_steps=max(sizes.replay * sizes.num_envs, collected),
     )
-    if agent == "td3":
-        config = dataclasses.replace(config, hyper=config.hyper.replace(epsilon=0.1))
+    floats = floats | ({"epsilon": 0.1} if agent == "td3" else {})
+    learner = dataclasses.replace(config.learner, **fields)
+    config = dataclasses.replace(config, hyper=with_values(config.hyper, floats), learner=learner)
     train = make_train(config, task_env)
     keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
 

@@ -64,6 +64,22 @@ def test_times_theirs_are_said_where_both_were_timed_alike():
         assert ("x)" in mine[5], "x)" in mine[6]) == (said, said) and "x)" not in "".join(other)
 
 
+def test_goal_encoders_are_compared_at_the_steps_that_all_of_them_made():
+    own = [outcome("ours", seeds=2), outcome("ours+infogoal", rounds=2, seeds=2), outcome("theirs", rounds=1)]
+    alone = dataclasses.replace(outcome("ours"), task="reacher")
+    other = dataclasses.replace(outcome("ours+infogoal, beta 0"), agent="sac")
+    found = jaxgcrl.encoders([*own, alone, other, dataclasses.replace(outcome("ours"), agent="sac")])
+    assert found.splitlines() == [
+        "| goal encoder | ant, crl | ant, sac |",
+        "|---|---|---|",
+        "| none | 0.20±0.00 | 0.30 |",
+        "| infogoal | 0.20±0.00 |  |",
+        "| infogoal, beta 0 |  | 0.30 |",
+    ]
+    assert [row[1] for row in jaxgcrl.rows(own, [])] == ["ours, 2", "theirs, 1"]
+    assert jaxgcrl.encoders([own[0], own[2], alone]) == ""
+
+
 def test_a_side_has_one_colour_in_every_panel_and_a_line_of_the_legend(tmp_path, monkeypatch):
     figures = []
     monkeypatch.setattr(jaxgcrl, "save", lambda figure, path: figures.append(figure))
