@@ -132,19 +132,8 @@ def search(
     out = folder / CLEAN / task / method if clean else folder / task / method
     if (out / "best.json").exists():
         return out
-    command = [
-        "tune",
-        task,
-        "--method",
-        method,
-        "--trials",
-        str(trials),
-        "--seeds",
-        str(seeds),
-        "--out",
-        str(out),
-        *data_of(task, folder, clean, goal_images),
-    ]
+    command = ["tune", task, "--method", method, "--out", str(out), *data_of(task, folder, clean, goal_images)]
+    command += ["--trials", str(trials), "--seeds", str(seeds)]
     if task in EPOCHS:
         epochs, between = map(str, EPOCHS[task])
         command += ["--num-epochs", epochs, "--epochs-per-evaluation", between]

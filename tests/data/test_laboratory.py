@@ -7,6 +7,7 @@ camera would.
 
 import csv
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,21 +17,15 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.data import splits
 from infogoal_jax.runs import tables
 
-TINY = [
-    "--num-epochs",
-    "1",
-    "--epochs-per-evaluation",
-    "1",
-    "--updates-per-epoch",
-    "3",
-    "--batch-size",
-    "32",
-    "--evaluation-starts",
-    "1",
-    "--state-encoder.features",
-    "16",
-    "--no-figures",
-]
+TINY = """--num-epochs 1 --epochs-per-evaluation 1 --updates-per-epoch 3 --batch-size 32 --evaluation-starts 1
+    --state-encoder.features 16 --no-figures"""
+ON_THE_TABLE = f"""train object_manipulation --env.dataset table.npz --env.num-goals 4 0 4 --num-envs 4
+    --rollout-steps 10 --out run {TINY}"""
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
 
 
 def photograph_turntable(folder):
@@ -71,127 +66,64 @@ def film_corridor(folder, objects):
         csv.writer(file).writerows([["image", "trajectory", "time", "action", "state", "x", "y", "objects"], *rows])
 
 
-def run(*arguments):
-    """The command line, which must succeed."""
-    assert main([str(argument) for argument in arguments]) == 0
+def run(line):
+    """A command line, which must succeed."""
+    assert main(line.split()) == 0
 
 
 @pytest.mark.long
-def test_poses_of_a_turntable(tmp_path, capsys):
+def test_poses_of_a_turntable(capsys):
     """Imported, checked, trained on with image goals, evaluated."""
-    photograph_turntable(tmp_path / "photos")
-    given = [
-        tmp_path / "photos",
-        tmp_path / "photos" / "poses.csv",
-        "--out",
-        tmp_path / "table.npz",
-        "--wrap",
-        "turn",
-        "--name",
-        "turntable",
-    ]
-    run("data", "import", *given)
-    run("data", "check", tmp_path / "table.npz")
-    run(
-        "train",
-        "object_manipulation",
-        "--method",
-        "none",
-        "--agent",
-        "dqn",
-        "--env.dataset",
-        tmp_path / "table.npz",
-        "--env.num-goals",
-        4,
-        0,
-        4,
-        "--num-envs",
-        4,
-        "--rollout-steps",
-        10,
-        "--out",
-        tmp_path / "run",
-        *TINY,
-    )
-    run("evaluate", tmp_path / "run", "--starts", 2)
-    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    photograph_turntable(Path("photos"))
+    run("data import photos photos/poses.csv --out table.npz --wrap turn --name turntable")
+    run("data check table.npz")
+    run(f"{ON_THE_TABLE} --method none --agent dqn")
+    run("evaluate run --starts 2")
+    config = json.loads(Path("run", "config.json").read_text())
     assert config["data"].startswith("turntable, content") and config["config"]["agent"]["name"] == "dqn"
     assert "stand-in, content" not in config["data"]  # Recorded: only the backgrounds are stand-ins.
     assert "test" in capsys.readouterr().out
 
 
 @pytest.mark.long
-def test_the_low_level_of_another_arm(tmp_path, capsys):
+def test_the_low_level_of_another_arm(capsys):
     """The shipped low level is refused for an arm with other joints; one that is trained for it is taken."""
-    photograph_turntable(tmp_path / "photos")
-    run(
-        "data",
-        "import",
-        tmp_path / "photos",
-        tmp_path / "photos" / "poses.csv",
-        "--out",
-        tmp_path / "table.npz",
-        "--wrap",
-        "turn",
-    )
-    given = ["--env.dataset", tmp_path / "table.npz"]
-    arguments = [
-        "train",
-        "object_manipulation",
-        *given,
-        "--env.num-goals",
-        4,
-        0,
-        4,
-        "--num-envs",
-        4,
-        "--rollout-steps",
-        10,
-        "--out",
-        tmp_path / "run",
-        *TINY,
-    ]
-    assert main([str(argument) for argument in arguments]) == 2
+    photograph_turntable(Path("photos"))
+    run("data import photos photos/poses.csv --out table.npz --wrap turn")
+    assert main(ON_THE_TABLE.split()) == 2
     assert "does not fit the 2 numbers of a target state and the 4 moves" in capsys.readouterr().err
-    run("pretrain", "object_manipulation", *given, "--num-epochs", 10, "--seeds", 1, "--out", tmp_path / "low")
-    assert tables.read_table(tmp_path / "low", "evaluations")[-1]["train_goal/success_rate"] > 0.9
-    run(*arguments, "--agent.low-level", tmp_path / "low")
+    run("pretrain object_manipulation --env.dataset table.npz --num-epochs 10 --seeds 1 --out low")
+    assert tables.read_table(Path("low"), "evaluations")[-1]["train_goal/success_rate"] > 0.9
+    run(f"{ON_THE_TABLE} --agent.low-level low")
 
 
 @pytest.mark.long
-def test_questions_about_a_corridor(tmp_path):
+def test_questions_about_a_corridor():
     """Imported, checked, learned from offline, evaluated; questions are the laboratory's choice among those that are
     embedded."""
     shipped = json.loads(splits.SHIPPED_QUESTIONS.read_text())["objects"]
     names = list(shipped)[:4]
-    film_corridor(tmp_path / "film", names)
+    film_corridor(Path("film"), names)
     chosen = {
         name: shipped[name] | {"use": "train" if number % 2 == 0 else "test"} for number, name in enumerate(names)
     }
-    (tmp_path / "questions.json").write_text(json.dumps({"objects": chosen}))
-    run("data", "import", tmp_path / "film", tmp_path / "film" / "drives.csv", "--out", tmp_path / "corridor.npz")
-    run("data", "check", tmp_path / "corridor.npz")
-    given = [
-        "--env.dataset",
-        tmp_path / "corridor.npz",
-        "--env.questions",
-        tmp_path / "questions.json",
-        "--env.episode-length",
-        20,
-    ]
-    run("train", "embodied_qa", *given, "--out", tmp_path / "run", *TINY)
-    run("evaluate", tmp_path / "run", "--starts", 2)
+    Path("questions.json").write_text(json.dumps({"objects": chosen}))
+    run("data import film film/drives.csv --out corridor.npz")
+    run("data check corridor.npz")
+    given = "--env.dataset corridor.npz --env.questions questions.json --env.episode-length 20"
+    run(f"train embodied_qa {given} --out run {TINY}")
+    run("evaluate run --starts 2")
 
 
 @pytest.mark.parametrize(
     ("task", "words"), [("embodied_qa", "tells no detections"), ("object_manipulation", "tells no poses")]
 )
-def test_a_dataset_for_another_task(tmp_path, capsys, task, words):
+def test_a_dataset_for_another_task(capsys, task, words):
     """Drives without poses or detections: the error names what is missing, before anything is compiled, without a
     traceback."""
-    film_corridor(tmp_path / "film", [])
-    table = (tmp_path / "film" / "drives.csv").read_text().splitlines()
-    (tmp_path / "bare.csv").write_text("\n".join(",".join(line.split(",")[:5]) for line in table))
-    run("data", "import", tmp_path / "film", tmp_path / "bare.csv", "--out", tmp_path / "corridor.npz")
-    assert main(["train", task, "--env.dataset", str(tmp_path / "corridor.npz"), "--out", str(tmp_path / "run")]) == 2
+    film_corridor(Path("film"), [])
+    table = Path("film", "drives.csv").read_text().splitlines()
+    Path("bare.csv").write_text("\n".join(",".join(line.split(",")[:5]) for line in table))
+    run("data import film bare.csv --out corridor.npz")
+    assert main(f"train {task} --env.dataset corridor.npz --out run".split()) == 2
     assert words in capsys.readouterr().err
