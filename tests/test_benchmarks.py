@@ -19,7 +19,12 @@ SMALL = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "b
 COLLECTED = {"num_envs": 2, "rollout_steps": 3, "buffer_steps": 100}
 
 RUN = {
-    "speed/training.py": ["rates --repeats 1", "rates --tasks fetch_pick_and_place --repeats 1", "size"],
+    "speed/training.py": [
+        "rates --repeats 1",
+        "rates --tasks fetch_pick_and_place --repeats 1",
+        "size",
+        "evaluating --seeds 2 --repeats 1",
+    ],
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],
     "speed/before_and_after.py": [f"{ROOT} --programs rooms/her/1/2 rooms/infogoal/2/2 --rounds 1 --turns 1"],

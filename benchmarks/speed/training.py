@@ -1,7 +1,8 @@
-"""What training costs, in two tables.
+"""What training costs, in three tables.
 
     python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
     python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
+    python benchmarks/speed/training.py evaluating [--tasks fetch_pick_and_place] [--method infogoal] [--seeds 16]
 
 rates: environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's
 time` says how much longer the sweep takes than one seed alone.
@@ -10,14 +11,20 @@ size: how large the training program of each task is, and how long it takes to b
 traced, lowered and compiled, its two halves at the same time. Operations are equations of the jaxpr, those of inner
 functions counted wherever they are called, and nothing comes from a compilation cache. Options of the compiler are
 those of infogoal_jax.jit, but for what XLA_FLAGS names, here and in `rates`.
+
+evaluating: what an evaluation costs beside collecting and learning of an epoch, from the preset's number of start
+states and from one; and how much of it is needed: after the preset's training, how far success on test goals strays
+when it is measured from fewer of `STARTS` start states of each goal, beside how far seeds differ.
 """
 
 import argparse
+import functools
 import time
 from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
 from infogoal_jax import compiled, make_train, presets
@@ -26,7 +33,12 @@ from infogoal_jax.runner.compilation import inner_programs
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.train.evaluation import random_policy
+from infogoal_jax.train.experience import collect_epoch, make_experience
 from infogoal_jax.train.rollout import collect
+from infogoal_jax.train.update import updates
+
+STARTS = 40
+"""Start states of each goal from which the trained policies are evaluated."""
 
 
 def timed(function, *arguments):
@@ -151,7 +163,57 @@ def print_sizes(arguments) -> None:
             print(f"| {task} | {num_seeds} | {count:,} | {each} |", flush=True)
 
 
-TABLES = {"rates": print_rates, "size": print_sizes}
+def print_evaluating(arguments) -> None:
+    """The tables of what evaluation costs and of what it is needed for."""
+    for task in arguments.tasks:
+        config, seeds = presets.load(task, arguments.method), arguments.seeds[0]
+        train = make_train(config)
+        hyper, env = config.hyper, train.env
+        keys = jax.random.split(jax.random.key(0), seeds)
+
+        def collecting(state, hyper, env, train=train):
+            return state if env.recorded is not None else collect_epoch(train.setup(hyper, env), state, 0)[0]
+
+        def learning(state, hyper, env, train=train):
+            setup = train.setup(hyper, env)
+            experience, state = make_experience(setup, state, 0)
+            return updates(setup, experience, state, state.key, train.config.updates_per_epoch)[0]
+
+        def training(key, hyper, env, train=train):
+            numbers = jnp.arange(train.config.num_epochs, dtype=jnp.int32)
+            return train.epochs(train.initial(key, hyper, env), numbers, hyper, env)[0]
+
+        def evaluating(state, hyper, env, starts, train=train):
+            return train.evaluate(state.params, hyper, env, starts)
+
+        def over(function, **fixed):
+            return jax.vmap(functools.partial(function, **fixed), in_axes=(0, None, None))
+
+        program, _ = timed_compilation(over(training), keys, hyper, env)
+        states, whole = timed(program, keys, hyper, env)
+        parts = {"collecting": over(collecting), "learning": over(learning)}
+        starts = dict.fromkeys((1, config.evaluation_starts, STARTS))
+        parts |= {f"evaluating, {count} starts": over(evaluating, starts=count) for count in starts}
+        found, milliseconds = {}, {}
+        for name, part in parts.items():
+            program, _ = timed_compilation(part, states, hyper, env)
+            found[name], _ = timed(program, states, hyper, env)
+            milliseconds[name] = 1000 * min(timed(program, states, hyper, env)[1] for _ in range(arguments.repeats))
+        print(f"{task}, {seeds} seeds, {config.num_epochs} epochs without evaluations: {whole:.1f} s\n")
+        print("| an epoch's | ms |\n|---|---|")
+        print("\n".join(f"| {name} | {value:.1f} |" for name, value in milliseconds.items()), flush=True)
+        first = np.asarray(found[f"evaluating, {STARTS} starts"]["first_reached"])
+        mask = np.asarray(env.goals.test_mask)[np.asarray(env.goals.evaluated)]
+        reached = (first <= env.episode_length)[:, mask].mean(1)  # [seeds, STARTS]
+        print(f"\nTest goals reached: {reached.mean():.3f}\n\n| starts | strays by | seeds differ by |\n|---|---|---|")
+        for count in (1, 2, 5, 10, 20):
+            of_starts = reached.reshape(seeds, STARTS // count, count).mean(-1)
+            strays, differ = (float(of_starts.std(axis, ddof=1).mean()) for axis in (1, 0))
+            print(f"| {count} | {strays:.3f} | {differ:.3f} |", flush=True)
+        print(flush=True)
+
+
+TABLES = {"rates": print_rates, "size": print_sizes, "evaluating": print_evaluating}
 
 
 def main():
