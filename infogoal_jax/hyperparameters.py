@@ -22,6 +22,7 @@ import flax.struct
 import jax
 import numpy as np
 
+from infogoal_jax import checks
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_FLOAT, lies_in, plain
 
@@ -99,24 +100,17 @@ def check_declared(record_type: type, name: str) -> None:
             number.search is None or isinstance(number.search, Search), where, number.search, "give a Search or None"
         )
         if number.search is not None:
-            first, last = (checks_number(end, where) for end in number.search[:2])
+            first, last = (checks.number(end, where) for end in number.search[:2])
             require(first < last, where, (first, last), "give a Search(low, high) with low below high")
             known = typing.get_args(typing.get_type_hints(Search)["scale"])
             require(number.search.scale in known, where, number.search.scale, f"give one of {', '.join(known)}")
         has_default = field.default is not dataclasses.MISSING
         require(
-            has_default and number.allows(checks_number(field.default, where)),
+            has_default and number.allows(checks.number(field.default, where)),
             where,
             field.default,
             f"give a default in {number.interval}",
         )
-
-
-def checks_number(value: Any, name: str) -> float:
-    """A finite number. Raises `UserError` for anything else."""
-    fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(fits, name, value, "give a finite number")
-    return value
 
 
 def floats(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Number]]:

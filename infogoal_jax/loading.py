@@ -21,13 +21,14 @@ from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
-from infogoal_jax.envs.environment import Environment, Traits
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.runs import low_level as low_levels
 from infogoal_jax.train import program
 from infogoal_jax.train.checked_parts import is_foreign
+from infogoal_jax.train.contracts import check_is_environment
 from infogoal_jax.train.parts import check_hyperparameters, make_learner
 from infogoal_jax.train.program import Train
 
@@ -350,7 +351,7 @@ def load_environment(config: TrainConfig, env: Any = None):
 def check_environment(config: TrainConfig, env: Any) -> None:
     """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
     goals or of too many goals."""
-    require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    check_is_environment(env)
     check_kind(env)
     count = env.goals.num_goals or 0
     require(

@@ -1,5 +1,6 @@
 """`infogoal reproduce ...`: the paper's tables and figures, from goal images and training to the finished page."""
 
+import dataclasses
 import os
 import sys
 import time
@@ -18,96 +19,76 @@ BESIDE = {"all_goals": "Beside the paper: LEO and the all-goals head against HER
 TITLES = DESCRIPTIONS | {"all": "All tables and figures of the paper, and the verdict on every claim"} | BESIDE
 
 
-def study(
-    name: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all",
-    tasks: tuple[str, ...] = (),
-    methods: tuple[str, ...] = (),
-    variants: tuple[str, ...] = ("paper", "her"),
-    sets: tuple[int, ...] = (),
-    seeds: int = 5,
-    out: str = "runs/reproduction",
-    minutes: float = 0.0,
-    retry: FlagCreatePairsOff[bool] = False,
-    quick: FlagCreatePairsOff[bool] = False,
-    list_runs: Annotated[FlagCreatePairsOff[bool], tyro.conf.arg(name="list")] = False,
-    goal_images: str = "",
-    known: str = "",
-    vmap_size: int = 64,
-    from_: Annotated[str, tyro.conf.arg(name="from")] = "",
-    page: str = "",
-    processes: int = 0,
-    gpus: int = 0,
-    engine: Literal["processes", "ray"] = "processes",
-    ray_address: str = "",
-    draw: bool = True,
-    format: Literal["png", "pdf", "svg"] = "png",
-    known_goals: tuple[str, ...] = (),
-) -> int:
-    """A table or figure.
+@dataclasses.dataclass(frozen=True)
+class Flags:
+    """What is asked for of a table or figure."""
 
-    Args:
-        name: Of the table or figure.
-        tasks: Tasks; empty: all.
-        methods: Rows of Table I, or of the table of all_goals (none, her, leo, all_goals, infogoal+all_goals,
-            infobot+all_goals); empty: all.
-        variants: Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too;
-            text, in which InfoGoal, InfoBot and GCB have it.
-        sets: Goal sets; empty: all of each task.
-        seeds: Seeds of each run, from 0 on.
-        out: Folder of the runs, tables and figures; processes that have the same folder share the work.
-        minutes: Stop in time for this many minutes, with a checkpoint of what is not finished; 0: no limit.
-        retry: Run again what failed.
-        quick: At a size at which nothing is learned, a few runs of each kind.
-        list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
-        goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz (infogoal reproduce goal-images).
-        known: Folder of compact numbers, such as docs/results: runs that it holds are not trained.
-        vmap_size: Seeds, settings and goal sets that one program trains side by side (`jax.vmap`) at most.
-        from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
-        page: File that the verdicts are written to; empty: reproduction.md in the folder.
-        processes: How many work on the folder side by side; 0: one, here, or of a cluster one on each device.
-        gpus: GPUs over which the processes are spread; 0: each sees all devices.
-        engine: processes, which run here; ray, workers of a Ray cluster.
-        ray_address: The cluster: HOST:PORT of one that this machine belongs to, auto for the one that runs here,
-            ray://HOST:10001 from outside; empty: one of this machine alone, which ends with the command.
-        draw: Draw what there are numbers for at the end.
-        format: Of the figures; PNG is written besides, for the pages.
-        known_goals: Protocols of all_goals: visited, in which goals that are achieved may enter; held_out, in which
-            test and validation goals never do; empty: both.
+    name: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all"
+    """Of the table or figure."""
+    tasks: tuple[str, ...] = ()
+    """Tasks; empty: all."""
+    methods: tuple[str, ...] = ()
+    """Rows of Table I, or of the table of all_goals (none, her, leo, all_goals, infogoal+all_goals, infobot+all_goals);
+    empty: all."""
+    variants: tuple[str, ...] = ("paper", "her")
+    """Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too; text, in
+    which InfoGoal, InfoBot and GCB have it."""
+    sets: tuple[int, ...] = ()
+    """Goal sets; empty: all of each task."""
+    seeds: int = 5
+    """Seeds of each run, from 0 on."""
+    out: str = "runs/reproduction"
+    """Folder of the runs, tables and figures; processes that have the same folder share the work."""
+    minutes: float = 0.0
+    """Stop in time for this many minutes, with a checkpoint of what is not finished; 0: no limit."""
+    retry: FlagCreatePairsOff[bool] = False
+    """Run again what failed."""
+    quick: FlagCreatePairsOff[bool] = False
+    """At a size at which nothing is learned, a few runs of each kind."""
+    list_runs: Annotated[FlagCreatePairsOff[bool], tyro.conf.arg(name="list")] = False
+    """Print the runs, the programs that train them and how far they are, and train nothing."""
+    goal_images: str = ""
+    """Folder of further goal sets of Fetch: NUMBER/TASK.npz (infogoal reproduce goal-images)."""
+    known: str = ""
+    """Folder of compact numbers, such as docs/results: runs that it holds are not trained."""
+    vmap_size: int = 64
+    """Seeds, settings and goal sets that one program trains side by side (`jax.vmap`) at most."""
+    from_: Annotated[str, tyro.conf.arg(name="from")] = ""
+    """Folder of compact numbers, such as docs/results: draw from them and train nothing."""
+    page: str = ""
+    """File that the verdicts are written to; empty: reproduction.md in the folder."""
+    processes: int = 0
+    """How many work on the folder side by side; 0: one, here, or of a cluster one on each device."""
+    gpus: int = 0
+    """GPUs over which the processes are spread; 0: each sees all devices."""
+    engine: Literal["processes", "ray"] = "processes"
+    """processes, which run here; ray, workers of a Ray cluster."""
+    ray_address: str = ""
+    """The cluster: HOST:PORT of one that this machine belongs to, auto for the one that runs here, ray://HOST:10001
+    from outside; empty: one of this machine alone, which ends with the command."""
+    draw: bool = True
+    """Draw what there are numbers for at the end."""
+    format: Literal["png", "pdf", "svg"] = "png"
+    """Of the figures; PNG is written besides, for the pages."""
+    known_goals: tuple[str, ...] = ()
+    """Protocols of all_goals: visited, in which goals that are achieved may enter; held_out, in which test and
+    validation goals never do; empty: both."""
+
+
+def study(flags: Annotated[Flags, tyro.conf.arg(name="")] = Flags()) -> int:
+    """A table or figure.
 
     Returns:
         0 when all is done; 1 when a run failed; 130 when there is more to do.
     """
     from infogoal_paper import command
 
-    for path in (Path(out), *Path(out).parents):
-        require(not os.path.isfile(path), "out", out, f"{path} is a file; give a folder")
-    return command.reproduce(
-        command.Asked(
-            name,
-            tasks,
-            methods,
-            variants,
-            sets,
-            seeds,
-            Path(out),
-            minutes,
-            retry,
-            quick,
-            list_runs,
-            Path(goal_images) if goal_images else None,
-            Path(known) if known else None,
-            vmap_size,
-            Path(from_) if from_ else None,
-            Path(page) if page else None,
-            processes,
-            gpus,
-            engine,
-            ray_address,
-            draw,
-            format,
-            known_goals,
-        )
-    )
+    out = Path(flags.out)
+    for path in (out, *out.parents):
+        require(not os.path.isfile(path), "out", flags.out, f"{path} is a file; give a folder")
+    given = {name: Path(getattr(flags, name)) for name in command.PATHS if getattr(flags, name)}
+    paths = dict.fromkeys(command.PATHS) | given | {"out": out}
+    return command.reproduce(command.Asked(**vars(flags) | paths))
 
 
 def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results") -> int:
@@ -155,5 +136,5 @@ def goal_images(
     return 0
 
 
-COMMANDS = {name: named(study, f"{title}.", name=name) for name, title in TITLES.items()}
+COMMANDS = {name: named(study, f"{title}.", flags=Flags(name)) for name, title in TITLES.items()}
 REPRODUCE = Group(HELP, COMMANDS | {"goal-images": goal_images, "merge": merge})

@@ -10,6 +10,7 @@ from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runner.executors import run_in_processes, run_on_ray
 from infogoal_jax.runs import disk
 from infogoal_paper import numbers, progress
+from infogoal_paper.cli import Flags
 from infogoal_paper.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_paper.numbers import Results
 from infogoal_paper.plan import config_of, fetch_sets, programs_of
@@ -20,33 +21,19 @@ DRAWING = 60.0
 """Seconds that have to be left for drawing."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Asked:
-    """What was asked for; the flags of the command line."""
+PATHS = ("goal_images", "known", "from_", "page")
+"""Flags that name a file or a folder, and are empty for none."""
 
-    name: str
-    tasks: tuple[str, ...] = ()
-    methods: tuple[str, ...] = ()
-    variants: tuple[str, ...] = ("paper", "her")
-    sets: tuple[int, ...] = ()
-    seeds: int = 5
+
+@dataclasses.dataclass(frozen=True)
+class Asked(Flags):
+    """The flags of the command line, with paths in place of words; None where none is given."""
+
     out: Path = Path("runs/reproduction")
-    minutes: float = 0.0
-    retry: bool = False
-    quick: bool = False
-    list_runs: bool = False
     goal_images: Path | None = None
     known: Path | None = None
-    vmap_size: int = 64
-    numbers: Path | None = None
+    from_: Path | None = None
     page: Path | None = None
-    processes: int = 0
-    gpus: int = 0
-    engine: str = "processes"
-    ray_address: str = ""
-    draw: bool = True
-    format: str = "png"
-    known_goals: tuple[str, ...] = ()
 
     @property
     def studies(self) -> tuple[str, ...]:
@@ -94,8 +81,8 @@ def reproduce(asked: Asked) -> int:
     spread = "goes with --processes, which says how many are spread over them"
     require(asked.processes or not asked.gpus, "gpus", asked.gpus, spread)
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
-    if asked.numbers is not None:
-        draw(asked, numbers.load(asked.numbers))
+    if asked.from_ is not None:
+        draw(asked, numbers.load(asked.from_))
         return DONE
     check_size(asked)
     runs = asked.runs()
@@ -163,7 +150,7 @@ def work_here(asked: Asked, runs: list[Run], deadline: float) -> None:
 
 def arguments_of(asked: Asked, minutes: float) -> list[str]:
     """The arguments of one process: what was asked for, without drawing, for so many minutes."""
-    words = ["reproduce", asked.name, "--no-draw", "--out", str(Path(asked.out)), "--seeds", str(asked.seeds)]
+    words = ["reproduce", asked.name, "--no-draw", "--out", str(asked.out), "--seeds", str(asked.seeds)]
     words += ["--vmap-size", str(asked.vmap_size), "--minutes", str(minutes)]
     for flag, values in (
         ("tasks", asked.tasks),
