@@ -195,6 +195,18 @@ def test_views_of_one_state(data):
     np.testing.assert_array_equal(after.node % count, np.asarray(plain.next_node)[np.asarray(starts.node) % count, 0])
 
 
+@pytest.mark.long
+def test_trains_by_dqn_with_and_without_relabelling(env):
+    """A few epochs of either run through, with finite numbers."""
+    for relabelling in ("none", "her"):
+        train = make_train(hand_made_frames.manipulation_config(relabelling=relabelling), env)
+        result = jax.jit(train)(jax.random.key(0))
+        assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
+        assert {"test_goal/success_rate", "corrupted_test_goal/success_rate", "corrupted_train_goal/spl"} <= set(
+            result.metrics
+        )
+
+
 @pytest.mark.parametrize("relabelling", [pytest.param("none", marks=pytest.mark.long), "her"])
 def test_agents_see_the_codes_of_their_goals(env, relabelling):
     """Whatever goal a transition has, desired or relabelled, the agent is given that goal's code; batches are smaller

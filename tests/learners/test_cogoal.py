@@ -11,7 +11,7 @@ import numpy as np
 import optax
 import pytest
 
-from infogoal_jax import pairs
+from infogoal_jax import make_train, pairs
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import cogoal
@@ -209,3 +209,12 @@ def test_the_learner_asks_for_random_negatives_and_gives_no_intrinsic_reward():
 def test_a_window_longer_than_an_episode_is_named(window):
     with pytest.raises(UserError, match="learner.window = "):
         hand_made.config("cogoal", learner=cogoal.CoGoalConfig(window=window))
+
+
+@pytest.mark.long
+def test_a_run_is_finite():
+    train = make_train(hand_made.config("cogoal", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
+    result = jax.jit(train)(jax.random.key(0))
+    assert {"cogoal/contrastive", "cogoal/accuracy"} <= set(result.epochs)
+    for name, values in (result.metrics | result.epochs).items():
+        assert np.isfinite(values).all(), name

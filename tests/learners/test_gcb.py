@@ -263,3 +263,13 @@ def test_the_policy_can_be_given_the_goal_alone():
     learner, params, _ = learner_and_params(policy_input="goal")
     codes = GoalCode(jnp.arange(8.0)[None])
     assert conditioned(learner, params, codes, FEATURES[:1]) is codes
+
+
+@pytest.mark.long
+def test_trains_on_the_hand_made_rooms():
+    train = make_train(hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
+    result = jax.jit(train)(jax.random.key(0))
+    assert {"gcb/paired_loss", "gcb/psi_loss", "gcb/code_spread"} <= set(result.epochs)
+    for name, values in {**result.metrics, **result.epochs}.items():
+        assert np.isfinite(values).all(), name
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.params))

@@ -3,6 +3,7 @@ gradients go where they should, and goals are reconstructed."""
 
 import dataclasses
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ from hand_made import SMALL, begun, constant_error, loss_of, trained
 
 from infogoal_jax import networks
 from infogoal_jax.learners import dgrl, vae
+from infogoal_jax.loading import make_train
 
 RANDOM = np.random.default_rng(10)
 VECTORS = jax.device_put(RANDOM.normal(size=(8, 16)).astype(np.float32) / 4)
@@ -150,6 +152,19 @@ def test_contrast_counts_for_nothing_where_images_are_standardised(method, stand
         lambda images: loss_of(learner, images, params, state, jax.random.key(1))[1][0]["reconstruction_error"]
     )
     assert np.isclose(error_of(IMAGES), error_of(faint), rtol=0.02) == standardise
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["vae", "dgrl"])
+def test_trains_on_the_hand_made_task(method):
+    config = hand_made.config(
+        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3, batch_size=8, rollout_steps=20
+    )
+    result = jax.jit(make_train(config, hand_made.environment(8)))(jax.random.key(0))
+    for name, values in {**result.metrics, **result.epochs}.items():
+        assert np.isfinite(values).all(), name
+    assert f"{method}/reconstruction_error" in result.epochs
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.params))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import Hyperparameters, make_train
+from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.runner.sweep import Sweep, advance, prepare, side_by_side
 from infogoal_jax.runs import tables
 from infogoal_jax.train.program import TrainResult
@@ -169,3 +169,30 @@ def test_fetch_reach_trains_with_its_own_physics(reach_run):
     )
     one, other = (row["agent/loss"] for row in epochs[-2:])
     assert one != other  # Two seeds.
+
+
+def test_fetch_push_trains_with_its_own_physics():
+    """Grip and object: a subgoal of six numbers, two adjacency networks."""
+    config = presets.load(
+        "fetch_push",
+        num_epochs=2,
+        epochs_per_evaluation=1,
+        num_envs=8,
+        updates_per_epoch=5,
+        batch_size=32,
+        buffer_steps=1000,
+        evaluation_starts=1,
+    )
+    train = make_train(config)
+    result = jax.jit(jax.vmap(train, in_axes=(0, None, None)))(
+        jax.random.split(jax.random.key(0), 2), config.hyper, train.env
+    )
+    assert all(np.isfinite(values).all() for values in {**result.metrics, **result.epochs}.values())
+    assert result.metrics["corrupted_test_goal/success_rate"].shape == (2, 2)
+    assert result.state.buffer.action.shape[-1] == 6 and (jnp.abs(result.state.buffer.action) <= 1).all()
+    apart = np.asarray(result.state.agent)
+    assert apart.shape[:2] == (2, 2) and (apart == apart.swapaxes(2, 3)).all()
+    learned = (~apart).sum((2, 3)) - apart.shape[2]
+    assert (learned[:, 0] > learned[:, 1]).all() and (
+        learned[:, 0] > 50
+    ).all()  # The grip moves about more than the object.
