@@ -1,8 +1,7 @@
 """What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every setting and
 seed, the tables made of it, and the probe that says what a code still tells of its goal.
 
-    trial, lane, seed, updates       which of the queue in trials.py, or one that no table shows and the queue has no
-                                     longer, and the updates that one seed had made
+    trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
     known_goals                      the protocol; empty in older rows, which were all under `visited`
     KIND/success_rate                of each kind of goals
     learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them

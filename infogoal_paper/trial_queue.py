@@ -61,7 +61,9 @@ WINDOW_1, CORRUPTED = {"learner.window": 1}, {"training_corruption": 0.4}
 FIRST_OCCURRENCE, BEST_GOAL = ({"relabelling.choice": choice} for choice in ("first_occurrence", "best"))
 """GHRL's choice of goals: the one that presets have, and the original's, which they had before these trials."""
 GROUNDED = {"learner.grounded": True}
+STANDARDISED = {"learner.standardise_images": True}
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
+FINER_THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.98, 0.99, 0.995, 0.998)}
 MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.002, 0.005, 0.02)}
 FINEST_MARGIN = {"margin 0.0005": {"learner.beta_margin": 0.0005}}
 FINER_MARGINS = FINEST_MARGIN | MARGINS
@@ -156,6 +158,7 @@ TRIALS = {
             ("her", "her", {}, PRESET),
             ("her_corruption", "her", CORRUPTED, PRESET),
             ("infogoal", "infogoal", {}, THRESHOLDS),
+            ("infogoal_window_1", "infogoal", WINDOW_1, FINER_THRESHOLDS),
             ("infogoal_her", "infogoal+her", {}, THRESHOLDS),
             ("infogoal_her_corruption", "infogoal+her", CORRUPTED, THRESHOLDS),
             ("infogoal_her_window_1", "infogoal+her", WINDOW_1, THRESHOLDS),
@@ -163,6 +166,8 @@ TRIALS = {
     },
     "reach_infogoal_corruption": Trial(REACH, "infogoal", FETCH | CORRUPTED, THRESHOLDS),
     "reach_infogoal_her_window_1_corruption": Trial(REACH, "infogoal+her", FETCH | CORRUPTED | WINDOW_1, THRESHOLDS),
+    "reach_infogoal_her_window_1_relative": Trial(REACH, "infogoal+her", FETCH | RELATIVE | WINDOW_1, FINER_MARGINS),
+    "reach_infogoal_her_window_1_thresholds": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, FINER_THRESHOLDS),
     # GCB's loss was tuned to 0.0015 of the agent's on Reach, 0.06 of the goal encoder's gradient: does more help?
     "reach_gcb": Trial(REACH, "gcb", FETCH, LEARNER_SHARES),
     "house_gcb": Trial(HOUSE_TASK, "gcb", HOUSE, LEARNER_SHARES),

@@ -55,6 +55,9 @@ NAMED_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("
 WITHOUT_TABLE = ("cube_carries", "calibration")
 """Trials that have no line for each setting: of the first noise.py measured the same at equal noise, on more cubes; the
 others have a table of their own."""
+OF_NORMALISED = ("cube_dqn", "shelf_goals")
+"""Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
+which seeds learn is chance."""
 PROBED = "fetch_reach"
 """The task of which the probe is shown: on the others no question rests on it."""
 
@@ -243,7 +246,17 @@ def tables(rows: list[Row]) -> dict[str, str]:
             error,
         )
         for name, (tasks, error) in TABLES.items()
-    } | {name: ([trial for trial in named if trial.startswith(name)], error) for name, error in NAMED_TABLES.items()}
+    } | {
+        name: (
+            [
+                trial
+                for trial in named
+                if trial.startswith(name) and (name not in OF_NORMALISED or trial.endswith("_norm"))
+            ],
+            error,
+        )
+        for name, error in NAMED_TABLES.items()
+    }
     found = {}
     for name, (trials, error) in grouped.items():
         own = [row for row in rows if row["trial"] in trials]

@@ -145,11 +145,12 @@ def test_what_all_lines_of_a_table_of_trials_share_stands_below_it(tmp_path):
 
 
 def test_what_is_listed_as_run_is_what_the_numbers_are_of():
-    """Every trial of the queue ran, with just its settings and seeds, so that its floats are those that ran."""
+    """Trials in the numbers have just the settings and seeds of the queue, so that its floats are those that ran."""
     ran = trial_numbers.settings_of(trial_numbers.read(trials.NUMBERS))
-    for name, trial in trials.QUEUE.items():
-        seeds = {setting: count for setting, (count, _) in ran[name].items()}
-        assert seeds == dict.fromkeys(trial.settings, trial.seeds), name
+    queued = {name: dict.fromkeys(trial.settings, trial.seeds) for name, trial in trials.QUEUE.items() if name in ran}
+    assert {
+        name: {setting: seeds for setting, (seeds, _) in settings.items()} for name, settings in ran.items()
+    } == queued
 
 
 @pytest.mark.parametrize(
