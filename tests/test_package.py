@@ -23,10 +23,25 @@ BESIDE = ("infogoal_paper", "infogoal_drone")
 """Packages that use the library, in the same distribution."""
 LAYERS = (
     {
-        *"""
-        errors stopping imports files field_types config checked_dict registry hyperparameters goals goal_uses
-        policy_file pairs networks replay angles keys checks shapes
-        """.split()
+        "errors",
+        "stopping",
+        "imports",
+        "files",
+        "field_types",
+        "config",
+        "checked_dict",
+        "registry",
+        "hyperparameters",
+        "goals",
+        "goal_uses",
+        "policy_file",
+        "pairs",
+        "networks",
+        "replay",
+        "angles",
+        "keys",
+        "checks",
+        "shapes",
     },
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},
