@@ -207,9 +207,10 @@ def tables() -> dict[str, str]:
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
     """Draw success against environment steps, and against seconds of training a seed; a column for each task and agent
     that both sides ran, and one of them learned."""
+    drawn = (each for each in outcomes if each.side in COLOURS)
     columns = [
         each
-        for each in compared(outcomes, alone)
+        for each in compared(drawn, alone)
         if len(each[2]) > 1 and max(np.mean(own.success, 0).max() for own in each[2].values()) > LEARNED
     ]
     with figure_style():
@@ -218,8 +219,6 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
         panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
         for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
             for side, outcome in sides.items():
-                if side not in COLOURS:
-                    continue
                 curves, colour = np.array(outcome.success), COLOURS[side]
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
                 draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)

@@ -109,7 +109,8 @@ def test_what_both_sides_ran_and_one_learned_is_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(jaxgcrl, "save", lambda figure, path: drawn.append(figure))
     low = [dataclasses.replace(outcome(side, success=0.01), task="pusher") for side in ("ours", "theirs")]
     outcomes = [outcome("ours", seeds=4), outcome("ours+infogoal", success=0.2), outcome("theirs"), *low]
-    jaxgcrl.draw([*outcomes, dataclasses.replace(outcomes[0], task="maze")], [], tmp_path / "x.png")
+    maze = [dataclasses.replace(outcome(side), task="maze") for side in ("ours", "ours+vae")]
+    jaxgcrl.draw([*outcomes, *maze, outcome("ours+cogoal")], [], tmp_path / "x.png")
     upper, lower = drawn[0].axes
     assert upper.get_title() == "ant, crl"
     assert [line.get_label() for line in upper.lines if line.get_linewidth() > 1] == ["ours", "ours+infogoal", "theirs"]
