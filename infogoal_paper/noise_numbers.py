@@ -89,6 +89,10 @@ HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetc
 HELD_OUT_SHELF, HELD_OUT_HRAC = "embodied_qa+cql+held_out", "object_manipulation+hrac+held_out"
 """The same on the shelf, which recorded flights show, and on the cube under HRAC."""
 HELD_OUT_BESIDE = (*HELD_OUT_FETCH, HELD_OUT_SHELF, HELD_OUT_HRAC)
+ELSEWHERE = {
+    (task, "infogoal+all_goals") for task in ("fetch_reach", "fetch_pick_and_place", "object_manipulation")
+}
+"""What the studies of held-out goals show instead."""
 UNSEEN_FETCH = "fetch_reach+unseen"
 """FetchReach on goal sets that no choice has seen."""
 SEARCHING = "object_search+searching"
@@ -181,7 +185,9 @@ def methods_of(task: str) -> dict[str, str]:
         return {method: in_words(method) for method in READ[task]}
     if task in BESIDE:
         return {method: in_words(method) for method in BESIDE[task]}
-    return CARRYING if task in (HELD_OUT, *HELD_OUT_BESIDE) else METHODS
+    if task in (HELD_OUT, *HELD_OUT_BESIDE):
+        return CARRYING
+    return {method: words for method, words in METHODS.items() if (task, method) not in ELSEWHERE}
 
 
 def floats_of(task: str, method: str) -> dict[str, float]:
@@ -239,12 +245,15 @@ READING_WORDS = {
 def missing(
     rows: Sequence[Row], tasks: Iterable[str], methods: Sequence[str] = (), data_sets: Sequence[int] = ()
 ) -> Iterator[tuple[str, str, tuple[int, ...]]]:
-    """What is asked for of these tasks and has no rows: task, method and data sets. methods, data_sets: left out, those
-    of the task."""
-    kept = {run_key(row) for row in rows}
+    """What is asked for of these tasks and has rows of fewer than `SEEDS` seeds: task, method and data sets. methods,
+    data_sets: left out, those of the task."""
+    kept: dict[tuple[str, str, int], set[int]] = {}
+    for row in rows:
+        kept.setdefault(run_key(row), set()).add(int(row["seed"]))
     for task in tasks:
         for method in methods or methods_of(task):
-            sets = tuple(number for number in data_sets or DATA_SETS[task] if (task, method, number) not in kept)
+            numbers = data_sets or DATA_SETS[task]
+            sets = tuple(number for number in numbers if len(kept.get((task, method, number), ())) < SEEDS)
             if sets:
                 yield task, method, sets
 

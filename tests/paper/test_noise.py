@@ -173,9 +173,12 @@ def test_a_first_place_at_equal_noise_is_decided_by_the_weakest_difference(rival
     assert found.verdict == ("fails" if verdict == "fails" else "cannot be told") and "GCB not run" in found.words
 
 
-def test_what_is_missing_of_a_study_is_what_has_no_rows():
+def test_what_is_missing_of_a_study_is_what_has_too_few_seeds():
     rows = [
-        {"task": "embodied_qa", "method": method, "data_set": number} for method in ("her", "rad") for number in (7, 9)
+        {"task": "embodied_qa", "method": method, "data_set": number, "seed": str(seed)}
+        for method in ("her", "rad")
+        for number in (7, 8, 9)
+        for seed in range(3 if number == 8 else 5)
     ]
     asked = ["embodied_qa"], ["her", "none"]
     assert list(noise_numbers.missing(rows, *asked)) == [
