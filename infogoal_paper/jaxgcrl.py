@@ -2,7 +2,7 @@
 benchmarks/peers/jaxgcrl_peer.py.
 
     python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.gz
-    python -m infogoal_paper.pages jaxgcrl                            # write the tables of docs/reference/vectors.md
+    python -m infogoal_paper.pages jaxgcrl                            # write the table of docs/reference/vectors.md
 
 Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
 themselves: their seconds for a round stand in the table. What is there already of a program and seed is replaced.
@@ -28,7 +28,7 @@ from infogoal_jax.report.canvas import (
 )
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
-from infogoal_paper.table_formats import markdown_lines, tight
+from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
 SUCCESS = 0.5
@@ -36,9 +36,7 @@ SUCCESS = 0.5
 LEARNED = 0.05
 """The success from which on a task is drawn."""
 SIDES = ("ours", "theirs")
-"""What is compared; other sides of ours, as `ours+infogoal`, have a goal encoder."""
-COLOURS = dict(zip((*SIDES, "ours+infogoal"), ROOM_COLOURS, strict=False))
-"""Of the sides that are drawn."""
+"""What is compared and drawn; other sides of ours, as `ours+infogoal`, have a goal encoder."""
 
 
 @dataclasses.dataclass
@@ -156,19 +154,26 @@ def success_at(outcome: Outcome, steps: float) -> np.ndarray:
     return np.array(outcome.success)[:, np.abs(np.array(outcome.steps) - steps).argmin()]
 
 
-def encoders(outcomes: Iterable[Outcome]) -> str:
-    """Success with each goal encoder, after the steps that all of a task and agent have; empty where no encoder ran."""
-    own = (each for each in outcomes if each.side != "theirs")
-    columns = {(task, agent): sides for task, agent, sides in compared(own, []) if len(sides) > 1}
-    names = list(dict.fromkeys(side for sides in columns.values() for side in sides))
-    if not names:
-        return ""
-    lines = [[name.removeprefix("ours").removeprefix("+") or "none"] for name in names]
-    for sides in columns.values():
+def encoder_cells(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, str]]:
+    """Success with each goal encoder, after the steps that all of a task and agent have: {(task, agent): {encoder:
+    cell}}, of those that an encoder ran on."""
+    cells = {}
+    for task, agent, sides in compared((each for each in outcomes if each.side != "theirs"), []):
         reached = min(each.steps[-1] for each in sides.values())
-        for name, line in zip(names, lines, strict=True):
-            line.append(tight(mean_interval(success_at(sides[name], reached))) if name in sides else "")
-    return markdown_lines(["goal encoder", *(f"{task}, {agent}" for task, agent in columns)], lines)
+        if len(sides) > 1:
+            cells[task, agent] = {
+                side.removeprefix("ours").removeprefix("+") or "none": tight(mean_interval(success_at(each, reached)))
+                for side, each in sides.items()
+            }
+    return cells
+
+
+def foot(outcomes: Iterable[Outcome]) -> str:
+    """How success with goal encoders was measured, where and when."""
+    own = [each for each in outcomes if each.side != "theirs"]
+    return f"after equal steps, {max(each.side_by_side for each in own)} seeds; " + (
+        f"{machines_in_words(each.machine for each in own)}."
+    )
 
 
 HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]
@@ -197,17 +202,16 @@ def take(beside: list[Path], alone: list[Path]) -> None:
 
 
 def tables() -> dict[str, str]:
-    """The tables of the page; none without numbers."""
+    """The table of the page; none without numbers."""
     kept = read()
     beside = rows(kept["beside"], kept["alone"])
-    found = {"peers": markdown_lines(HEAD, beside) if beside else "", "encoders": encoders(kept["beside"])}
-    return {name: table for name, table in found.items() if table}
+    return {"peers": markdown_lines(HEAD, beside)} if beside else {}
 
 
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
     """Draw success against environment steps, and against seconds of training a seed; a column for each task and agent
     that both sides ran, and one of them learned."""
-    drawn = (each for each in outcomes if each.side in COLOURS)
+    drawn = (each for each in outcomes if each.side in SIDES)
     columns = [
         each
         for each in compared(drawn, alone)
@@ -219,7 +223,7 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
         panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
         for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
             for side, outcome in sides.items():
-                curves, colour = np.array(outcome.success), COLOURS[side]
+                curves, colour = np.array(outcome.success), ROOM_COLOURS[SIDES.index(side)]
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
                 draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
             upper.set(title=f"{task}, {agent}", xlabel="million steps")
@@ -227,7 +231,7 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
             for axes in (upper, lower):
                 finish_share_axis(axes, "success" if axes in panels[:, 0] else "")
         lines = {line.get_label(): line for axes in panels[0] for line in axes.get_lines()}
-        shown = [side for side in COLOURS if side in lines]
+        shown = [side for side in SIDES if side in lines]
         panels[0, 0].legend([lines[side] for side in shown], shown, fontsize="x-small")
         save(figure, path)
 

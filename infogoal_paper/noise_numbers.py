@@ -89,9 +89,7 @@ HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetc
 HELD_OUT_SHELF, HELD_OUT_HRAC = "embodied_qa+cql+held_out", "object_manipulation+hrac+held_out"
 """The same on the shelf, which recorded flights show, and on the cube under HRAC."""
 HELD_OUT_BESIDE = (*HELD_OUT_FETCH, HELD_OUT_SHELF, HELD_OUT_HRAC)
-ELSEWHERE = {
-    (task, "infogoal+all_goals") for task in ("fetch_reach", "fetch_pick_and_place", "object_manipulation")
-}
+ELSEWHERE = {(task, "infogoal+all_goals") for task in ("fetch_reach", "fetch_pick_and_place", "object_manipulation")}
 """What the studies of held-out goals show instead."""
 UNSEEN_FETCH = "fetch_reach+unseen"
 """FetchReach on goal sets that no choice has seen."""

@@ -22,7 +22,7 @@ from infogoal_paper.table_formats import machines_in_words, markdown_lines, tigh
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl.gz"
 FIRST = "pointmaze-medium-navigate-v0"
-"""The dataset whose tables have no name behind them."""
+"""The dataset that is shown first."""
 NAMES = {"crl": "offline_crl"}
 """Agents that have another name here than in OGBench."""
 
@@ -182,53 +182,63 @@ def peers(outcomes: list[Outcome]) -> str:
     return f"{markdown_lines(head, rows)}\n\n{foot(outcomes, marks)}{of_seeds(usual, rows) if marks else ''}"
 
 
-def encoders(outcomes: list[Outcome]) -> str:
-    """Success of goal encoders over several agents: on tasks whose goals were not held out, on those whose were, and on
-    all where the policy is told its goals with an error, or sees their pictures under backgrounds."""
-    sides, marks, usual = sides_of(outcomes), set(), max(len(outcome.seeds) for outcome in outcomes)
-    agents = list(dict.fromkeys(agent for agent, _ in sides))
-    rows = {learner: dict.fromkeys(agents, "") for learner in dict.fromkeys(learner for _, learner in sides)}
-    for (agent, learner), found in sides.items():
+def encoder_cells(outcomes: list[Outcome]) -> tuple[dict[str, dict[str, str]], str]:
+    """Success with goal encoders, {agent: {encoder: cell}}, and how it was measured. A cell has success on tasks whose
+    goals were not held out, on those whose were, and on all where the policy is told its goals with an error, or sees
+    their pictures under backgrounds."""
+    cells: dict[str, dict[str, str]] = {}
+    marks, usual = set(), max(len(outcome.seeds) for outcome in outcomes)
+    for (agent, learner), found in sides_of(outcomes).items():
         last = max((mark for each in found["ours"] for mark in each.updates), default=0)
         success, noisy = (success_at(found["ours"], last, kind) for kind in ("success", "noisy"))
         if len(success):
             marks.add(last)
             out = np.isin(np.arange(success.shape[1]) + 1, found["ours"][0].held_out)
             parts = shown(success[:, ~out]), shown(success[:, out]), shown(noisy)
-            rows[learner][agent] = ", ".join(filter(None, parts)) + (
-                f" ({len(success)})" if len(success) != usual else ""
-            )
+            number = f" ({len(success)})" if len(success) != usual else ""
+            cells.setdefault(NAMES.get(agent, agent), {})[learner] = ", ".join(filter(None, parts)) + number
     noise = ", ".join(sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy}))
-    cell = "A cell: goals as in training, held out"
+    said = "A cell: goals as in training, held out"
     if outcomes[0].goals == "images":
-        cell += f", all with a background of weight {noise}"
+        said += f", all with a background of weight {noise}"
     elif noise:
-        cell += f", all told wrong by {noise} (standard deviation)"
-    head = ["goal encoder", *(f"`{NAMES.get(agent, agent)}`" for agent in agents)]
-    table = markdown_lines(head, [[learner, *cells.values()] for learner, cells in rows.items()])
-    return f"{table}\n\n{foot(outcomes, marks)} {usual} seeds. {cell}."
+        said += f", all told wrong by {noise} (standard deviation)"
+    return cells, f"{foot(outcomes, marks)} {usual} seeds. {said}."
 
 
-def of_outcomes(found: dict[tuple, Outcome]) -> dict[str, str]:
-    """The tables by name, those of each dataset apart; those that have a row."""
-    tables = {}
-    for dataset in sorted({outcome.dataset for outcome in found.values()}, key=lambda name: name != FIRST):
-        own = [outcome for outcome in found.values() if outcome.dataset == dataset]
-        name = "" if dataset == FIRST else "_" + "_".join(dataset.split("-")[:2])
-        pictured = [outcome for outcome in own if outcome.goals == "images" and outcome.updates]
-        own = [outcome for outcome in own if outcome.goals == "states"]
-        if plain := [outcome for outcome in own if not outcome.held_out]:
-            tables[f"peers{name}"] = peers(plain)
-        if held := [outcome for outcome in own if outcome.held_out and outcome.updates]:
-            tables[f"encoders{name}"] = encoders(held)
-        if pictured:
-            tables[f"encoders_images{name}"] = encoders(pictured)
-    return tables
+def encoders(outcomes: list[Outcome]) -> str:
+    """Success of goal encoders over several agents, and how it was measured."""
+    cells, said = encoder_cells(outcomes)
+    learners = dict.fromkeys(learner for own in cells.values() for learner in own)
+    rows = [[learner, *(own.get(learner, "") for own in cells.values())] for learner in learners]
+    return f"{markdown_lines(['goal encoder', *(f'`{agent}`' for agent in cells)], rows)}\n\n{said}"
+
+
+def groups(outcomes: Iterable[Outcome], held_out: bool) -> dict[str, list[Outcome]]:
+    """The outcomes with goals held out of training, or without any, by their dataset and by what goals are, in words;
+    `FIRST` first."""
+    found: dict[str, list[Outcome]] = {}
+    for each in sorted(outcomes, key=lambda each: (each.goals == "images", each.dataset != FIRST, each.dataset)):
+        if bool(each.held_out) == held_out and (each.updates or not held_out):
+            name = "-".join(each.dataset.split("-")[:2]) + (", pictures" if each.goals == "images" else "")
+            found.setdefault(name, []).append(each)
+    return found
 
 
 def tables() -> dict[str, str]:
-    """The tables of the page; none without numbers."""
-    return of_outcomes(read([NUMBERS]))
+    """The tables of the page, one for each dataset; none without numbers."""
+    found = groups(read([NUMBERS]).values(), held_out=False)
+    return {name.replace("-", "_"): peers(outcomes) for name, outcomes in found.items()}
+
+
+def in_words(outcomes: Iterable[Outcome]) -> str:
+    """All tables, those of goals that are held out last."""
+    found = [
+        f"{name}\n\n{words(own)}"
+        for held_out, words in ((False, peers), (True, encoders))
+        for name, own in groups(outcomes, held_out).items()
+    ]
+    return "\n\n".join(found)
 
 
 def main() -> None:
@@ -240,7 +250,7 @@ def main() -> None:
         found = take(arguments.files) if arguments.files else read([NUMBERS])
     except UserError as error:
         parser.error(str(error))
-    print("\n\n".join(of_outcomes(found).values()))
+    print(in_words(found.values()))
 
 
 if __name__ == "__main__":

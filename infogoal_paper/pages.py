@@ -21,6 +21,7 @@ them is replaced by what the numbers of the source give. Sources:
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
     jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
     ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl.gz
+    goal_encoders  goal encoders on both, goal_encoders.py
     first_hour  what benchmarks/speed/first_steps.py saved, in first_hour.json
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
@@ -49,6 +50,7 @@ from infogoal_paper import (
     all_goals,
     choices,
     continuous,
+    goal_encoders,
     jaxgcrl,
     noise_numbers,
     numbers,
@@ -326,6 +328,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "continuous": continuous.tables,
     "jaxgcrl": jaxgcrl.tables,
     "ogbench": ogbench.tables,
+    "goal_encoders": goal_encoders.tables,
     "first_hour": first_hour_table,
 }
 """The tables of each source, by name; none where it has no numbers yet."""

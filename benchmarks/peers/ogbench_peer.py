@@ -670,7 +670,7 @@ def is_done(job: Job, found: dict[tuple, Any], sizes: Sizes, words: argparse.Nam
 
 def main() -> None:
     """Do what is asked for and is not there yet."""
-    from infogoal_paper.ogbench import of_outcomes, read  # Not by the processes that step environments.
+    from infogoal_paper.ogbench import in_words, read  # Not by the processes that step environments.
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--collect", type=Path)
@@ -730,7 +730,7 @@ def main() -> None:
         for process in processes:
             process.start()
         meeting.watch(processes, 0.5 * (deadline - time.time()))
-    print("\n\n".join(of_outcomes(read([words.out])).values()))
+    print(in_words(read([words.out]).values()))
 
 
 if __name__ == "__main__":

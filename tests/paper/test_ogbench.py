@@ -13,7 +13,7 @@ import pytest
 from places import ROOT
 
 from infogoal_jax import UserError
-from infogoal_paper import ogbench, trial_numbers
+from infogoal_paper import goal_encoders, jaxgcrl, ogbench, trial_numbers
 from infogoal_paper.ogbench import Outcome
 
 
@@ -77,8 +77,8 @@ def test_datasets_have_tables_of_their_own():
     cube = "cube-single-play-v0"
     outcomes = [outcome(updates=(10,)), outcome(updates=(10,), success=0.2, dataset=cube)]
     outcomes += [outcome("theirs", (0,), updates=(10,), **named) for named in ({}, {"dataset": cube})]
-    found = ogbench.of_outcomes({each.program(): each for each in outcomes})
-    assert list(found) == ["peers", "peers_cube_single"] and "0.10±0.00" in found["peers_cube_single"]
+    found = ogbench.groups(outcomes, held_out=False)
+    assert list(found) == ["pointmaze-medium", "cube-single"] and "0.10±0.00" in ogbench.peers(found["cube-single"])
 
 
 def test_goal_encoders_are_judged_on_held_out_tasks_apart():
@@ -89,8 +89,9 @@ def test_goal_encoders_are_judged_on_held_out_tasks_apart():
     assert head == "| goal encoder | `offline_crl` | `gciql` |"
     assert row == "| none | 0.50±0.00, 0.00±0.00, 0.10±0.00 | 0.50, 0.00 (1) |"
     assert "2 seeds" in said and "told wrong by 1 " in said
-    found = ogbench.of_outcomes({each.program(): each for each in (plain, outcome(updates=(10,)), outcome("theirs"))})
-    assert found.keys() == {"peers", "encoders"}
+    free = [outcome(updates=(10,)), outcome("theirs")]
+    assert ogbench.groups([plain, *free], held_out=True) == {"pointmaze-medium": [plain]}
+    assert ogbench.groups([plain, *free], held_out=False) == {"pointmaze-medium": free}
 
 
 PLANE = """
@@ -193,14 +194,33 @@ def test_pictures_tell_places_apart(of_ogbench, monkeypatch):
     assert (pictures[0, 0, 0] == ogbench_peer.WALL).all() and (pictures[:, 32, 32] == ogbench_peer.ROBOT).all()
 
 
-def test_goals_as_pictures_have_a_table_of_their_own_whatever_the_batch(numbers, tmp_path):
+def test_goals_as_pictures_stand_apart_whatever_the_batch(numbers, tmp_path):
     held = {"updates": (10,), "held_out": [2]}
     pictured = outcome(**held, goals="images", sizes="batch 256", noise=0.4)
     pictured.noisy = [[[0.2, 0.0]], [[0.2, 0.0]]]
-    found = ogbench.of_outcomes(ogbench.take([write(tmp_path / "both.jsonl", outcome(**held), pictured)]))
-    assert list(found) == ["encoders", "encoders_images"] and "| 0.50±0.00, 0.00±0.00 |" in found["encoders"]
-    assert "0.50±0.00, 0.00±0.00, 0.10±0.00" in found["encoders_images"]
-    assert "atch 256" in found["encoders_images"] and "a background of weight 0.4." in found["encoders_images"]
+    taken = ogbench.take([write(tmp_path / "both.jsonl", outcome(**held), pictured)])
+    states, pictures = ogbench.groups(taken.values(), held_out=True).items()
+    assert (states[0], pictures[0]) == ("pointmaze-medium", "pointmaze-medium, pictures")
+    assert "| 0.50±0.00, 0.00±0.00 |" in ogbench.encoders(states[1])
+    table = ogbench.encoders(pictures[1])
+    assert "0.50±0.00, 0.00±0.00, 0.10±0.00" in table and "atch 256" in table and "a background of weight 0.4." in table
+
+
+def test_goal_encoders_of_both_benchmarks_share_a_table(numbers):
+    offline = [
+        outcome(updates=(10,), held_out=[2]),
+        outcome(updates=(10,), held_out=[2], learner="cogoal", success=0.2),
+    ]
+    sides = {"ours": 0.1, "ours+infogoal, beta 0": 0.3, "theirs": 0.5}
+    online = [
+        jaxgcrl.Outcome("ant", "crl", side, "a GPU", 0, [1.0], [2.0], [[success]], 1, 9, 0.0)
+        for side, success in sides.items()
+    ]
+    head, _, first, second, _, *notes = goal_encoders.table(online, offline).splitlines()
+    assert head == "| task, agent | none | InfoGoal | InfoGoal, beta 0 | VAE | COGOAL |"
+    assert first == "| ant, `crl` | 0.10 |  | 0.30 |  |  |"
+    assert second.startswith("| pointmaze-medium, `offline_crl` | 0.50±0.00, 0.00±0.00 |  |  |  | 0.20±0.00, ")
+    assert [note.partition(":")[0] for note in notes] == ["- JaxGCRL's", "- pointmaze-medium"]
 
 
 def test_layers_and_the_batch_beside_states_have_to_be_ogbench_s(of_ogbench, monkeypatch):
