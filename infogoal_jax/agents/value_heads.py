@@ -62,7 +62,7 @@ def make(
 
 def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
     """The values of these actions, float32 [B, ...]: values float32 [B, A, ...], actions int32 [B]."""
-    return jnp.take_along_axis(values, jnp.expand_dims(actions, range(1, values.ndim)), axis=1)[:, 0]
+    return values.at[jnp.arange(len(actions), dtype=jnp.int32), actions].get(unique_indices=True)
 
 
 def concatenated(hidden: tuple[int, ...], layer_norm: bool, num_actions: int) -> ValueHead:

@@ -18,6 +18,7 @@ from infogoal_jax.field_types import Positive, Size, Weight
 from infogoal_jax.learners import vae
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
+from infogoal_jax.rows import take_rows
 from infogoal_jax.shapes import with_rank
 
 USAGE_RATE = 0.01  # Rate of the running share of segments that use each code vector.
@@ -111,8 +112,8 @@ def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, s
 
 def after_use(state: DGRLState, indices: jax.Array) -> DGRLState:
     """The state after segments used these code vectors, int32 [N]."""
-    count = jnp.zeros_like(state.usage).at[indices].add(1.0)
-    usage = state.usage + USAGE_RATE * (count / indices.size - state.usage)
+    count = jnp.zeros(state.usage.shape, jnp.int32).at[indices].add(1)
+    usage = state.usage + USAGE_RATE * (count.astype(jnp.float32) / indices.size - state.usage)
     return state.replace(usage=usage, idle=jnp.where(count > 0, 0, state.idle + 1))
 
 
@@ -159,7 +160,7 @@ def make(config: DGRLConfig) -> Learner:
 
     def encode(params, goal_inputs):
         segments = segments_of(config, params["encoder"], goal_inputs)
-        vectors = params["codebook"][nearest(segments, params["codebook"])]
+        vectors = take_rows(params["codebook"], nearest(segments, params["codebook"]))
         return GoalCode(straight_through(segments, vectors).reshape(*segments.shape[:-2], config.latent_size))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
@@ -169,7 +170,7 @@ def make(config: DGRLConfig) -> Learner:
         inputs = batch.inputs_of(batch.goals)
         segments = segments_of(config, params["encoder"], inputs)
         indices = nearest(segments, params["codebook"])
-        vectors = params["codebook"][indices]
+        vectors = take_rows(params["codebook"], indices)
         code = straight_through(segments, vectors).reshape(len(inputs), -1)
         error = vae.squared_error(params["decoder"], config.hidden, code, inputs, config.standardise_images)
         size = inputs[0].size

@@ -30,6 +30,7 @@ from infogoal_jax.field_types import Count, Share, Sizes, Within
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 from infogoal_jax.relabelling import her
+from infogoal_jax.rows import take_rows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +102,7 @@ def bisimulation_target(
 def paired_loss(codes: jax.Array, target: jax.Array, partner: jax.Array) -> jax.Array:
     """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]. The norm sums over d, so distances
     grow with d."""
-    gap = codes - codes[partner]
+    gap = codes - take_rows(codes, partner)
     # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
     distance = (gap * jnp.sign(gap)).sum(-1)
     return ((distance - target) ** 2).mean()

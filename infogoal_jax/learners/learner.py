@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.rows import take_rows
 
 
 @flax.struct.dataclass
@@ -35,7 +36,7 @@ class GoalCode:
 
     def __getitem__(self, goals: jax.Array) -> "GoalCode":
         """Look up the codes of these goals in a table of codes."""
-        return jax.tree.map(lambda leaf: leaf[goals], self)
+        return jax.tree.map(lambda leaf: take_rows(leaf, goals), self)
 
 
 Encode = Callable[[jax.Array], GoalCode]

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from infogoal_jax.field_types import Weight
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.rows import add_rows
 
 CANDIDATES = 2  # Candidates for each transition that is learned from (the authors' code).
 TRIES = 3  # Candidates compared at each pick (the authors' code).
@@ -90,7 +91,7 @@ def neighbour_weights(positions: jax.Array) -> jax.Array:
     rows = jnp.arange(count, dtype=jnp.float32)[:, None]
     nearest = jnp.where(squared == least[None], rows, count).min(0).astype(jnp.int32)
     similarity = jnp.exp(-least / (jnp.sqrt(least).mean() ** 2 + TINY))
-    return jnp.zeros(count, jnp.float32).at[nearest].add(similarity)
+    return add_rows(similarity[:, None], nearest, count)[:, 0]
 
 
 def dense_similarity(positions: jax.Array) -> jax.Array:

@@ -21,6 +21,7 @@ from infogoal_jax.learners.encoding import GoalEncoding, View
 from infogoal_jax.learners.learner import GoalCode, Learner
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.rows import take_rows
 from infogoal_jax.train.checked_parts import checked_part
 
 
@@ -129,9 +130,9 @@ def encode_states(setup: Setup, params: dict, asked: int) -> Callable[[Any], jax
     """
     parts, _, env = setup
     if env.num_observations is not None and env.num_observations <= asked:
-        return parts.state_encoder.apply(
-            params["state"], env.render(jnp.arange(env.num_observations, dtype=jnp.int32))
-        ).__getitem__
+        images = env.render(jnp.arange(env.num_observations, dtype=jnp.int32))
+        table = parts.state_encoder.apply(params["state"], images)
+        return lambda observation: take_rows(table, observation)
     return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
 
 

@@ -20,6 +20,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -94,8 +95,8 @@ def nothing_promoted():
 
 
 @functools.cache
-def traced(task: str, method: str, in_64_bits: bool = False):
-    """Shapes and types of the state, of an epoch and of the evaluation after it."""
+def program(task: str, method: str, in_64_bits: bool = False) -> jax.stages.Traced:
+    """An epoch and the evaluation after it."""
     with jax.enable_x64(True) if in_64_bits else nothing_promoted():
         train = train_of(task, method)
 
@@ -103,7 +104,12 @@ def traced(task: str, method: str, in_64_bits: bool = False):
             numbers = jnp.arange(1, dtype=jnp.int32)
             return train.chunk(train.initial(key, train.config.hyper, env), numbers, train.config.hyper, env)
 
-        return jax.eval_shape(chunk, jax.random.key(0), train.env)
+        return jax.jit(chunk).trace(jax.random.key(0), train.env)
+
+
+def traced(task: str, method: str, in_64_bits: bool = False):
+    """Shapes and types of the state, of the epoch and of the evaluation."""
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), program(task, method, in_64_bits).out_info)
 
 
 TRACED = [*(("object_search", method) for method in presets.METHODS), ("fetch_reach", "infogoal")]
@@ -119,7 +125,7 @@ IN_64_BITS = [("object_search", "infogoal")]
 def test_goes_through_an_epoch_and_an_evaluation(task, method):
     """Traced, not run: shapes agree from the first draw to the evaluation after an epoch, and the method's own loss has
     its metrics. Seeds are beside each other where the programs run, among the long tests."""
-    state, epochs, metrics = traced(task, method)
+    state, epochs, metrics = program(task, method).out_info
     assert metrics["test_goal/success_rate"].shape == () and epochs["agent/loss"].shape == (1,)
     assert state.params["agent"].keys() == state.target_params["agent"].keys()
     learner = presets.METHODS[method].learner
@@ -133,6 +139,19 @@ def test_goes_through_an_epoch_and_an_evaluation(task, method):
 def test_every_program_is_the_same_with_64_bits(task, method):
     """Traced: what is carried from epoch to epoch and what comes out has the types that it has without."""
     assert traced(task, method, in_64_bits=True) == traced(task, method)
+
+
+SCATTER = re.compile(r'"stablehlo\.scatter"\(.*?unique_indices = (\w+).*?\(\{\n(.*?)\n *\}\)', re.S)
+LOOK_UP = ("infogoal", "gcb", "cher", pytest.param("dgrl", marks=pytest.mark.long))
+"""Methods that look up codes, partners, candidates and vectors of a codebook."""
+
+
+@pytest.mark.parametrize("method", LOOK_UP)
+def test_no_order_of_threads_changes_a_sum_of_floats_on_a_gpu(method):
+    """Its scatters add floats to places that differ alone: the same key gives the same bits."""
+    text = program("object_search", method).lower(lowering_platforms=("cuda",)).as_text()
+    additions = [unique for unique, body in SCATTER.findall(text) if re.search(r"stablehlo\.add.*tensor<f32>", body)]
+    assert additions and set(additions) == {"true"}  # Those of the values of the actions that were taken.
 
 
 @pytest.mark.long
