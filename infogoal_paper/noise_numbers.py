@@ -157,6 +157,7 @@ READ = {
         *("infogoal@desired", "her@desired", "infogoal+her@desired", "none@desired", "infogoal+her@listed"),
         *("infogoal+her@prefix", "infogoal+her@updates_100", "her@updates_100"),
     ),
+    "embodied_qa+read": tuple(f"{method}@clean" for method in METHODS),
 }
 """Which readings are run on each task, in order."""
 NO_BETA, SMALL = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}, {"learner_weight": 0.1}
@@ -281,6 +282,7 @@ PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "h
 CLEAN_PAIRS = {
     "object_search": PAIRS,
     "fetch_reach": (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her")),
+    "embodied_qa": (*PAIRS, ("infogoal", "rad")),
 }
 """And where settings were chosen again, on data that no choice has seen."""
 CARRYING_PAIRS = (
@@ -535,8 +537,8 @@ def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning
     return {method: searches[name] for method, name in named.items() if name in searches}
 
 
-PRESETS_OF = {"object_search": "object_search", "fetch_reach": UNSEEN_FETCH}
-CHOSEN_OF = {"object_search": "object_search+read", "fetch_reach": UNSEEN_FETCH}
+PRESETS_OF = {"object_search": "object_search", "fetch_reach": UNSEEN_FETCH, "embodied_qa": "embodied_qa"}
+CHOSEN_OF = {"object_search": "object_search+read", "fetch_reach": UNSEEN_FETCH, "embodied_qa": "embodied_qa+read"}
 """By whose names the rows go of presets, and of floats that were chosen again, on each task."""
 
 
@@ -810,7 +812,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if SEARCHING in ran:
         beside |= {"searching": searching_table(numbers)}
     searches = tuning.load(tuning.NUMBERS)
-    for task, ending in (("object_search", ""), ("fetch_reach", "_reach")):
+    for task, ending in (("object_search", ""), ("fetch_reach", "_reach"), ("embodied_qa", "_questions")):
         if any(numbers.has(*again(task, method)) for method in finals_of(task, searches)):
             shown = numbers, task, searches
             beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}

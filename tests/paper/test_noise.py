@@ -315,8 +315,16 @@ def test_what_a_memory_does_to_a_lead_is_paired_and_what_is_changed_is_a_field()
             assert after == value != before
 
 
-def test_clean_choices_of_fetch_stand_beside_presets_on_goal_sets_that_no_choice_has_seen():
-    assert noise_numbers.DATA_SETS[noise_numbers.UNSEEN_FETCH] == (7, 8, 9)
-    for method in noise_numbers.OF_REACH:
-        task, chosen = noise_numbers.again("fetch_reach", method)
-        assert task == noise_numbers.PRESETS_OF["fetch_reach"] and chosen in noise_numbers.methods_of(task)
+@pytest.mark.parametrize("task", noise_numbers.CHOSEN_OF)
+def test_clean_choices_stand_beside_presets_on_data_sets_that_no_choice_has_seen(task):
+    own, chosen = noise_numbers.PRESETS_OF[task], noise_numbers.CHOSEN_OF[task]
+    assert noise_numbers.DATA_SETS[own] == noise_numbers.DATA_SETS[chosen]
+    assert set(noise_numbers.DATA_SETS[own]) - {tuning.SEED} == {7, 8, 9}
+    again = [noise_numbers.again(task, method) for method in noise_numbers.METHODS]
+    ran = [
+        method
+        for method, (_, name) in zip(noise_numbers.METHODS, again, strict=True)
+        if name in noise_numbers.methods_of(chosen)
+    ]
+    assert set(ran) >= {method for pair in noise_numbers.CLEAN_PAIRS[task] for method in pair}
+    assert set(ran) <= noise_numbers.methods_of(own).keys()
