@@ -202,8 +202,8 @@ class Spec(NamedTuple):
 
 
 def is_array(value: Any) -> bool:
-    """Whether it is one array, or the shape of one."""
-    return hasattr(value, "shape") and hasattr(value, "dtype") and not isinstance(value, np.generic)
+    """Whether it is one array, or the shape of one. Goals have a shape and a type as well."""
+    return all(hasattr(value, name) for name in ("shape", "dtype", "ndim")) and not isinstance(value, np.generic)
 
 
 def described(value: Any) -> str:

@@ -24,7 +24,7 @@ STEPS = 5
 @dataclasses.dataclass(frozen=True)
 class Counting:
     """A job that counts to `STEPS`, with a file after each step. seconds: of a step; ends: what it does at its third
-    step when it has none behind it: nothing, `fails`, or `dies` with its process."""
+    step when it has none behind it: nothing, `fails`, `dies` with its process, or `waits` until it is to stop."""
 
     name: str
     seconds: float = 0.0
@@ -71,6 +71,10 @@ class Counting:
                 raise ValueError("out of luck")
             if step == 2 and self.ends == "dies":
                 os._exit(1)
+            while step == 2 and self.ends == "waits":
+                if place.left() < 0:
+                    return
+                time.sleep(0.1)
             self.path(place.folder).write_text(str(step + 1))
 
     def fail(self, place, error):
@@ -199,8 +203,9 @@ def test_a_signal_leaves_what_goes_on(cluster, tmp_path):
         if "begins" in words:
             threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM)).start()
 
-    outcome = run_on_ray(ray_jobs(1, seconds=1.0), Place(tmp_path, say=listen))
+    outcome = run_on_ray(ray_jobs(1, ends="waits"), Place(tmp_path, say=listen))
     assert outcome.stopped and not outcome.finished and not list(tmp_path.rglob("*.lock"))
+    assert (tmp_path / "counts" / "job0").read_text() == "2"
     assert run_on_ray(ray_jobs(1), Place(tmp_path)).finished == ["job0"]
 
 
