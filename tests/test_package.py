@@ -41,6 +41,7 @@ LAYERS = (
         "angles",
         "keys",
         "checks",
+        "rows",
         "shapes",
     },
     {"learners", "relabelling", "agents", "exploration", "data"},
