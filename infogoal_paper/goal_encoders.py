@@ -18,17 +18,15 @@ ENCODERS = {
 
 def table(online: list[jaxgcrl.Outcome], offline: list[ogbench.Outcome]) -> str:
     """A row for each task and agent, those of JaxGCRL first; below it how success was measured on each."""
-    rows, notes = [], []
-    for (task, agent), cells in jaxgcrl.encoder_cells(online).items():
-        rows.append([f"{task}, `{agent}`", *(cells.get(encoder, "") for encoder in ENCODERS)])
-    if rows:
-        notes.append(f"JaxGCRL's: {jaxgcrl.foot(online)}")
-    for name, outcomes in ogbench.groups(offline, held_out=True).items():
-        own, foot = ogbench.encoder_cells(outcomes)
-        for agent, cells in own.items():
-            rows.append([f"{name}, `{agent}`", *(cells.get(encoder, "") for encoder in ENCODERS)])
-        notes.append(f"{name}: {foot}")
-    listed = "\n".join(f"- {note}" for note in notes)
+    cells = jaxgcrl.encoder_cells(online)
+    notes = {"JaxGCRL's": jaxgcrl.foot(online)} if cells else {}
+    for task, outcomes in ogbench.groups(offline, held_out=True).items():
+        own, notes[task] = ogbench.encoder_cells(outcomes)
+        cells |= {(task, agent): found for agent, found in own.items()}
+    rows = [
+        [f"{task}, `{agent}`", *(own.get(encoder, "") for encoder in ENCODERS)] for (task, agent), own in cells.items()
+    ]
+    listed = "\n".join(f"- {name}: {note}" for name, note in notes.items())
     return f"{markdown_lines(['task, agent', *ENCODERS.values()], rows)}\n\n{listed}"
 
 

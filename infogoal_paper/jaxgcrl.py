@@ -171,9 +171,8 @@ def encoder_cells(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str
 def foot(outcomes: Iterable[Outcome]) -> str:
     """How success with goal encoders was measured, where and when."""
     own = [each for each in outcomes if each.side != "theirs"]
-    return f"after equal steps, {max(each.side_by_side for each in own)} seeds; " + (
-        f"{machines_in_words(each.machine for each in own)}."
-    )
+    seeds = max(each.side_by_side for each in own)
+    return f"after equal steps, {seeds} seeds; {machines_in_words(each.machine for each in own)}."
 
 
 HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]

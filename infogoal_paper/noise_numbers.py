@@ -145,11 +145,13 @@ OF_FETCH = (
     *(f"infogoal{added}@{reading}" for added in ("", "+her") for reading in ABOUT_GOALS),
     *("her@desired", "none@desired", "her@corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
 )
+CLEAN = tuple(f"{method}@clean" for method in METHODS)
+"""Methods with settings that were chosen again."""
 READ = {
     "object_search+read": (
         *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
         *("infogoal+her@prefix", "infobot+her@prefix", "infogoal@floor"),
-        *(f"{method}@clean" for method in METHODS),
+        *CLEAN,
     ),
     "fetch_reach+read": OF_FETCH,
     "fetch_pick_and_place+read": OF_FETCH,
@@ -157,7 +159,7 @@ READ = {
         *("infogoal@desired", "her@desired", "infogoal+her@desired", "none@desired", "infogoal+her@listed"),
         *("infogoal+her@prefix", "infogoal+her@updates_100", "her@updates_100"),
     ),
-    "embodied_qa+read": tuple(f"{method}@clean" for method in METHODS),
+    "embodied_qa+read": CLEAN,
 }
 """Which readings are run on each task, in order."""
 NO_BETA, SMALL = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}, {"learner_weight": 0.1}

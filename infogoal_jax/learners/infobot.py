@@ -59,7 +59,7 @@ class InfoBotState:
 
 def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Array:
     """Add visits to the counts [num_cells]: cell int32 [R, T], counted where valid, bool [R, T]."""
-    return counts + jnp.zeros(counts.shape, jnp.int32).at[cell].add(valid.astype(jnp.int32)).astype(counts.dtype)
+    return counts.at[cell].add(valid.astype(counts.dtype))
 
 
 def make(config: InfoBotConfig) -> Learner:

@@ -171,8 +171,7 @@ def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Arra
     padded with -1."""
     seen = occurrences(goals, rows, num_goals)
     row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
-    counts = jnp.zeros(goals.shape[:2], jnp.int32).at[row, seen.step].add((seen.size > 0).astype(jnp.int32))
-    return counts.astype(jnp.float32)
+    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))
 
 
 def prefix_goal(

@@ -94,9 +94,9 @@ def nothing_promoted():
         yield
 
 
-@functools.cache
+@functools.lru_cache(maxsize=8)
 def program(task: str, method: str, in_64_bits: bool = False) -> jax.stages.Traced:
-    """An epoch and the evaluation after it."""
+    """An epoch and the evaluation after it. Those that are asked for again soon are kept: they are large."""
     with jax.enable_x64(True) if in_64_bits else nothing_promoted():
         train = train_of(task, method)
 
@@ -107,6 +107,7 @@ def program(task: str, method: str, in_64_bits: bool = False) -> jax.stages.Trac
         return jax.jit(chunk).trace(jax.random.key(0), train.env)
 
 
+@functools.cache
 def traced(task: str, method: str, in_64_bits: bool = False):
     """Shapes and types of the state, of the epoch and of the evaluation."""
     return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), program(task, method, in_64_bits).out_info)
