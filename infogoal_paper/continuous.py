@@ -1,6 +1,6 @@
 """What compressing the goal does where goals are vectors: the studies of benchmarks/goals/continuous.py.
 
-    python -m infogoal_paper.continuous FILE ...    # put studies into docs/results/continuous.json.gz
+    python -m infogoal_paper.continuous FILE ...    # put studies into docs/results/continuous.json.xz
     python -m infogoal_paper.pages continuous       # write docs/research/continuous_goals.md's tables
 
 The file has {study: {"machine", "settings"}}; a setting has every seed: success [seeds, 4 evaluations] by group of
@@ -29,7 +29,7 @@ from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import markdown_lines, tight
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-NUMBERS = RESULTS / "continuous.json.gz"
+NUMBERS = RESULTS / "continuous.json.xz"
 GROUPS = ("train", "validation", "test")
 LEFT_OUT = ("agent/td_error", "agent/value", "infogoal/kl", "seconds", "together")
 """Fields of a study that are not kept."""

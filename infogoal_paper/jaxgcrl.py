@@ -1,7 +1,7 @@
 """Our agents beside JaxGCRL's own programs, and with goal encoders before them: the results of
 benchmarks/peers/jaxgcrl_peer.py.
 
-    python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.gz
+    python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.xz
     python -m infogoal_paper.pages jaxgcrl                            # write the table of docs/reference/vectors.md
 
 Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
@@ -30,7 +30,7 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.xz"
 SUCCESS = 0.5
 """The success that seconds are counted to."""
 LEARNED = 0.05

@@ -9,8 +9,8 @@ A method's preset is trained to its end, all seeds and data sets in one program;
 on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
 and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows,
 and what cannot end in what is left is not begun. Cubes of the studies beside are trained half as long. --list prints
-what docs/results/noise.csv.gz lacks of what is asked for, or has of too few seeds; --missing runs that alone.
---merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the same tasks, methods
+what docs/results/noise.csv.xz lacks of what is asked for, or has of too few seeds; --missing runs that alone.
+--merge puts the files of FOLDER into docs/results/noise.csv.xz, in place of what was there of the same tasks, methods
 and data sets; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says what came of it.
 """
 

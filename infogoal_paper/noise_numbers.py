@@ -1,4 +1,4 @@
-"""What is kept of the study of noise at test (noise.py), docs/results/noise.csv.gz, one row for every method, data set,
+"""What is kept of the study of noise at test (noise.py), docs/results/noise.csv.xz, one row for every method, data set,
 seed, epsilon and code; and the tables and the figure of docs/research/noise_at_test.md.
 
     task, method, data_set, seed     what was trained; data_set: number of the goal set
@@ -306,7 +306,7 @@ LINES = {
 """Methods of the figure, with their colours."""
 LEARNED = ("accuracy", "beta", "kl_half", "kl")
 """Columns of InfoGoal."""
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "noise.csv.gz"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "noise.csv.xz"
 
 
 def merge(folder: Path) -> list[str]:

@@ -1,6 +1,6 @@
 """Our offline agents beside OGBench's own programs: the results of benchmarks/peers/ogbench_peer.py.
 
-    python -m infogoal_paper.ogbench [FILE ...]    # put results into docs/results/ogbench.jsonl.gz, print tables
+    python -m infogoal_paper.ogbench [FILE ...]    # put results into docs/results/ogbench.jsonl.xz, print tables
     python -m infogoal_paper.pages ogbench         # write the tables of docs/research/speed.md
 
 A file has a line for each evaluation of a program; the last line of a program has all before it, and counts. Results
@@ -20,7 +20,7 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl.gz"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "ogbench.jsonl.xz"
 FIRST = "pointmaze-medium-navigate-v0"
 """The dataset that is shown first."""
 NAMES = {"crl": "offline_crl"}

@@ -5,22 +5,22 @@
 A table stands in README.md or docs/*/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between
 them is replaced by what the numbers of the source give. Sources:
 
-    readme    the README's two tables, of noise.csv.gz and of the runs in all_goals.npz; docs/research/noise_at_test.md
+    readme    the README's two tables, of noise.csv.xz and of the runs in all_goals.npz; docs/research/noise_at_test.md
               and docs/research/all_goals.md have all that is made of them, with intervals
-    trials    the cubes of the bare agent in trials/numbers.csv.gz, of which trials.py --table prints the other tables
-    tuning    the searches of tuning.py, in tuning.jsonl.gz
-    noise     the study of noise at test, noise.py, in noise.csv.gz
-    sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.gz
+    trials    the cubes of the bare agent in trials/numbers.csv.xz, of which trials.py --table prints the other tables
+    tuning    the searches of tuning.py, in tuning.jsonl.xz
+    noise     the study of noise at test, noise.py, in noise.csv.xz
+    sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.xz
     choices   what was chosen for Table I and what it saw, choices.py, of the presets
     all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
-    drone     the flights of drone_flights.py and drone_faults.py, in drone.json.gz
-    positions Fetch with continuous goals, positions.py, in positions.csv.gz, transfer.jsonl and
-              sb3_her/reference.csv.gz
-    continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
-    jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
-    ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl.gz
+    drone     the flights of drone_flights.py and drone_faults.py, in drone.json.xz
+    positions Fetch with continuous goals, positions.py, in positions.csv.xz, transfer.jsonl.xz and
+              sb3_her/reference.csv.xz
+    continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.xz
+    jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.xz
+    ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl.xz
     goal_encoders  goal encoders on both, goal_encoders.py
     first_hour  what benchmarks/speed/first_steps.py saved, in first_hour.json
 
@@ -118,7 +118,7 @@ def plain_table(columns: list[str], names: list[str], rows: list[list[float]]) -
 
 LANDINGS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
 """Words by which reasons of a landing are counted as one, in front of what is special to a flight."""
-DRONE = RESULTS / "drone.json.gz"
+DRONE = RESULTS / "drone.json.xz"
 
 
 def drone_numbers() -> dict[str, dict[str, Any]]:

@@ -2,9 +2,9 @@
 
     python -m infogoal_paper.positions [--runs RUN ...] [--transfers FILE ...] [--peers FILE ...]
 
-`--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv.gz,
-`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl, `--peers` the
-numbers.csv of benchmarks/peers/fetch_sb3_her.py with --reference into docs/results/sb3_her/reference.csv.gz, each in
+`--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv.xz,
+`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl.xz, `--peers` the
+numbers.csv of benchmarks/peers/fetch_sb3_her.py with --reference into docs/results/sb3_her/reference.csv.xz, each in
 place of what was there of the same task, learner and agent, of the same policy, or of the same task and seed.
 `pages.py positions` writes the tables of docs/reference/vectors.md.
 
@@ -27,8 +27,8 @@ from infogoal_paper.table_formats import markdown_lines, tight
 from infogoal_paper.trial_numbers import Row
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-NUMBERS, TRANSFERS = RESULTS / "positions.csv.gz", RESULTS / "transfer.jsonl"
-PEERS = RESULTS / "sb3_her" / "reference.csv.gz"
+NUMBERS, TRANSFERS = RESULTS / "positions.csv.xz", RESULTS / "transfer.jsonl.xz"
+PEERS = RESULTS / "sb3_her" / "reference.csv.xz"
 KEY = "task", "learner", "agent"
 TITLES = {
     "fetch_reach_positions": "Reach",
@@ -83,7 +83,7 @@ def take_transfers(files: list[Path]) -> None:
     for file in files:
         row = json.loads(file.read_text()) | {"policy": file.stem}
         rows[row["task"], row["method"], row["policy"]] = row
-    TRANSFERS.write_text("".join(json.dumps(row) + "\n" for _, row in sorted(rows.items())))
+    trial_numbers.write_compressed(TRANSFERS, "".join(json.dumps(row) + "\n" for _, row in sorted(rows.items())))
 
 
 def take_peers(files: list[Path]) -> None:
@@ -101,7 +101,7 @@ def read_peers() -> list[Row]:
 
 def read_transfers() -> list[dict[str, Any]]:
     """The rows so far."""
-    return [json.loads(line) for line in TRANSFERS.read_text().splitlines()] if TRANSFERS.exists() else []
+    return [json.loads(line) for line in trial_numbers.read_text(TRANSFERS).splitlines()] if TRANSFERS.exists() else []
 
 
 def solved(rows: list[Row]) -> list[str]:

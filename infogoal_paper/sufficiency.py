@@ -8,7 +8,7 @@ noise at test (noise.py), which no choice has seen. Then for every seed the code
 Q*: the difference of two goals is the mean of |Q*(s, a, g) - Q*(s, a, g+)| over states and legal actions. Goals are put
 into as many clusters of codes as the house has rooms, by average linkage of the mean absolute difference of mean codes.
 
---merge puts FOLDER/sufficiency.csv into docs/results/sufficiency.csv.gz; `pages.py sufficiency` writes the table of
+--merge puts FOLDER/sufficiency.csv into docs/results/sufficiency.csv.xz; `pages.py sufficiency` writes the table of
 docs/research/sufficiency.md. Columns:
 
     method, data_set, seed           what was trained
@@ -48,7 +48,7 @@ SHOWN = ("infogoal", "infogoal+her", "infobot+her", "cogoal", "vae", "her", "non
 """Methods whose codes are compared, in the order in which they are run."""
 HALF = 0.5
 """Overlap of two codes from which on a sample of one could as well be one of the other."""
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "sufficiency.csv.gz"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "sufficiency.csv.xz"
 
 
 def optimal_values(next_node: np.ndarray, at_goal: np.ndarray, discount: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every setting and
+"""What is kept of the trials: docs/results/trials/numbers.csv.xz, one row for every evaluation of every setting and
 seed, the tables made of it, and the probe that says what a code still tells of its goal.
 
     trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
@@ -23,8 +23,8 @@ Both for clean images, and for images under test backgrounds: `corrupted_...`.
 """
 
 import csv
-import gzip
 import io
+import lzma
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -39,7 +39,7 @@ from infogoal_jax.runs import disk
 from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
 from infogoal_paper.table_formats import machines_in_words, markdown_lines
 
-FILE = "numbers.csv.gz"
+FILE = "numbers.csv.xz"
 LAST = 3
 """Evaluations over which tables take the mean: a single one of few goals jumps by 0.05 and more."""
 FEWEST_SEEDS = 3
@@ -65,12 +65,12 @@ Row = dict[str, str]
 def read_text(path: Path) -> str:
     """The text of a file, as it is or compressed."""
     content = path.read_bytes()
-    return (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+    return (lzma.decompress(content) if path.suffix == ".xz" else content).decode()
 
 
 def write_compressed(path: Path, text: str) -> None:
     """Write a text compressed, the same bytes whenever it is written."""
-    disk.write_atomically(path, lambda file: file.write(gzip.compress(text.encode(), mtime=0)))
+    disk.write_atomically(path, lambda file: file.write(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME)))
 
 
 def read(path: Path) -> list[Row]:

@@ -10,7 +10,7 @@ by side in one program.
 it, and *settings* of the float hyperparameters that are trained in the same compiled program. Every evaluation of every
 setting and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
-FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; --table prints the tables
+FOLDER into docs/results/trials/numbers.csv.xz, in place of what was there of the same trials; --table prints the tables
 of that file, of which docs/research/trials.md says what came. --list prints the queue, and how far each trial has come
 in that file.
 """

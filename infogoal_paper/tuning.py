@@ -13,7 +13,7 @@ several processes. With --final the preset and the three best of each search run
 FOLDER/TASK/METHOD/final. --clean makes choices that no preset has a part in, into FOLDER/clean: settings are drawn
 alone, the preset runs but is not chosen, and all methods have the same noise at test. Fetch is then tuned on a goal set
 of its own, which `infogoal reproduce goal-images FOLDER/100 --seed 100` draws. --merge puts what is finished in
-FOLDER into docs/results/tuning.jsonl.gz, a line a search; `pages.py tuning` then writes the tables of
+FOLDER into docs/results/tuning.jsonl.xz, a line a search; `pages.py tuning` then writes the tables of
 docs/research/tuning.md.
 """
 
@@ -40,7 +40,7 @@ from infogoal_paper.paper import LEARNERS, METHODS
 from infogoal_paper.scores import TITLES
 from infogoal_paper.table_formats import markdown_lines, tight
 
-NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.gz"
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.xz"
 Search = dict[str, Any]
 """search: TASK/METHOD or TASK/METHOD/final, behind clean/ those of --clean; data, device; seeds; num_epochs: that were
 asked for; epochs: of the evaluations; goals: that scores are of; best: number of a trial; trials: each with its number,

@@ -3,7 +3,7 @@
     python benchmarks/fidelity/drone_faults.py --times 20 --out FOLDER
 
 A flight is a process of `infogoal fly` whose policy goes to and fro. Its fault begins after one or two moves. The
-script writes faults.json; `python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json.gz
+script writes faults.json; `python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json.xz
 and the page. Flights that are in FOLDER already are not flown again. tests/drone/test_fly.py flies the same, fewer of
 them.
 """

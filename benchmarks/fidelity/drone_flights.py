@@ -4,7 +4,7 @@
 
 Every flight is a process of `infogoal fly`. The evaluation takes the same policy, questions and starts, and images of a
 hovering drone. The script writes flights.json: how every flight ended, and the times from an image to its command.
-`python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json.gz and the page. Flights that
+`python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json.xz and the page. Flights that
 are in FOLDER already are not flown again.
 """
 

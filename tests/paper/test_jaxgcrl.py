@@ -21,7 +21,7 @@ def outcome(side, seed=0, rounds=3, seconds=2.0, seeds=1, success=0.1):
 @pytest.fixture
 def numbers(tmp_path, monkeypatch):
     """Empty numbers."""
-    monkeypatch.setattr(jaxgcrl, "NUMBERS", tmp_path / "jaxgcrl.json.gz")
+    monkeypatch.setattr(jaxgcrl, "NUMBERS", tmp_path / "jaxgcrl.json.xz")
 
 
 def test_seeds_are_compared_at_the_steps_that_both_sides_made():

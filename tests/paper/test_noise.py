@@ -67,7 +67,7 @@ def test_a_seed_collapsed_where_beta_is_gone_and_its_code_does_not_shrink(beta, 
 
 
 def test_what_is_merged_replaces_rows_of_the_same_task_and_method_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(noise_numbers, "NUMBERS", tmp_path / "kept.csv.gz")
+    monkeypatch.setattr(noise_numbers, "NUMBERS", tmp_path / "kept.csv.xz")
     trial_numbers.write([row("her", 0.0, "0.1"), row("infogoal", 0.0, "0.2")], noise_numbers.NUMBERS)
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "object_manipulation_her.csv").write_text(
@@ -245,7 +245,7 @@ def test_a_clean_choice_is_the_best_of_the_drawn_settings_and_a_final_decides(tm
         search("clean/object_search/her/final", (0, 0.9, []), (4, 0.3, []), (3, 0.4, [])),
         search("clean/object_search/vae", (0, 0.9, []), (3, 0.5, []), (4, 0.6, []), (5, 0.7, [1000])),
     ]
-    path = tmp_path / "tuning.jsonl.gz"
+    path = tmp_path / "tuning.jsonl.xz"
     trial_numbers.write_compressed(path, "".join(json.dumps(each) + "\n" for each in searches))
     choices = tuning.clean_choices("object_search", path)
     assert choices == {"her": {"discount": 0.03}, "vae": {"discount": 0.04}}

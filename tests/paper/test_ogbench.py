@@ -33,7 +33,7 @@ def write(path, *outcomes):
 @pytest.fixture
 def numbers(tmp_path, monkeypatch):
     """Empty numbers."""
-    monkeypatch.setattr(ogbench, "NUMBERS", tmp_path / "kept.jsonl.gz")
+    monkeypatch.setattr(ogbench, "NUMBERS", tmp_path / "kept.jsonl.xz")
     return ogbench.NUMBERS
 
 

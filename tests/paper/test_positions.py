@@ -22,9 +22,9 @@ def write_run(folder, agent: str, successes: dict[int, list[float]]) -> None:
 
 def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
     """A second run of the same parts takes the first one's place; a seed that never got there is counted."""
-    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.gz")
-    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
-    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.gz")
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.xz")
+    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl.xz")
+    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.xz")
     assert positions.tables() == {}
     write_run(tmp_path / "first", "sac", {0: [0.1, 0.2], 1: [0.1, 0.2]})
     write_run(tmp_path / "second", "sac", {0: [0.95, 1.0], 1: [0.1, 0.8]})
@@ -38,9 +38,9 @@ def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
 
 def test_seconds_are_those_of_the_log(tmp_path, monkeypatch):
     """From the start of the process to the line of the first evaluation at which the mean over the seeds is enough."""
-    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.gz")
-    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
-    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.gz")
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.xz")
+    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl.xz")
+    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.xz")
     write_run(tmp_path / "run", "sac", {0: [1.0, 1.0], 1: [0.7, 0.84]})
     (tmp_path / "run" / "log.txt").write_text("0.1 begin\n31.4 epoch 1/2  0:30  train 0.85\n40.6 epoch 2/2  0:39\n")
     positions.take([tmp_path / "run"])
@@ -55,9 +55,9 @@ def test_seconds_are_those_of_the_log(tmp_path, monkeypatch):
 
 
 def test_policies_are_shown_beside_the_reference(tmp_path, monkeypatch):
-    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.gz")
-    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
-    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.gz")
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.xz")
+    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl.xz")
+    monkeypatch.setattr(positions, "PEERS", tmp_path / "reference.csv.xz")
     for seed, (ours, there) in enumerate(((1.0, 0.9), (0.8, 0.9))):
         reached = {"ours": {"mean": ours}, "reference": {"mean": there}, "difference": ours - there}
         row = {"task": "fetch_push_positions", "method": "none", "faithful": False, "episodes": 500}
