@@ -4,14 +4,39 @@ All layers are matrix products. A convolution inside a scan runs 5 to 15 times s
 patches instead.
 """
 
+import functools
+
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax.linen.dtypes import promote_dtype
 
 from infogoal_jax.shapes import with_rank
 
 MINIMUM_STD = 1e-3  # Added to softplus in the authors' encoder.
+activations = jax.make_user_context(default_value=None)
+"""`with activations("bfloat16")`: layers take and give bfloat16; parameters and what a network gives stay float32."""
+
+
+def hidden_layer(features: int, **settings) -> nn.Dense:
+    """A linear layer [..., D] to [..., features] that takes and gives `activations`."""
+    return nn.Dense(features, dtype=activations.value, **settings)
+
+
+def last_layer(features: int, **settings) -> nn.Dense:
+    """A linear layer [..., D] to [..., features] that takes `activations` and gives float32."""
+    product = functools.partial(jax.lax.dot_general, preferred_element_type=jnp.float32)
+
+    def sides(inputs, kernel, bias, dtype):  # The bias is added to float32.
+        return *promote_dtype(inputs, kernel, dtype=dtype), bias
+
+    return nn.Dense(features, dtype=activations.value, promote_dtype=sides, dot_general=product, **settings)
+
+
+def normalised(values: jax.Array) -> jax.Array:
+    """Each vector of [..., D] to mean 0 and deviation 1, then weighted and shifted: float32."""
+    return nn.LayerNorm()(values.astype(jnp.float32))
 
 
 class MLP(nn.Module):
@@ -25,9 +50,9 @@ class MLP(nn.Module):
     @nn.compact
     def __call__(self, inputs):
         for width in self.hidden:
-            inputs = nn.Dense(width)(inputs)
-            inputs = nn.relu(nn.LayerNorm()(inputs) if self.layer_norm else inputs)
-        return nn.Dense(self.out)(inputs)
+            inputs = hidden_layer(width)(inputs)
+            inputs = nn.relu(normalised(inputs) if self.layer_norm else inputs)
+        return last_layer(self.out)(inputs)
 
 
 class GeluMLP(nn.Module):
@@ -42,9 +67,9 @@ class GeluMLP(nn.Module):
     @nn.compact
     def __call__(self, inputs):
         for width in self.hidden:
-            inputs = nn.gelu(nn.Dense(width, kernel_init=uniform_init(1.0))(inputs))
-            inputs = nn.LayerNorm()(inputs) if self.layer_norm else inputs
-        return nn.Dense(self.out, kernel_init=uniform_init(self.last_scale))(inputs)
+            inputs = nn.gelu(hidden_layer(width, kernel_init=uniform_init(1.0))(inputs))
+            inputs = normalised(inputs) if self.layer_norm else inputs
+        return last_layer(self.out, kernel_init=uniform_init(self.last_scale))(inputs)
 
 
 TwinGeluMLP = nn.vmap(GeluMLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2)
@@ -117,8 +142,9 @@ class ImageLayers(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        values = nn.relu(PixelLayer(self.standardise, name="Dense_0")(images))
-        values = nn.relu(nn.Dense(32, name="Dense_1")(values.reshape(*values.shape[:-3], -1)))
+        pixels = PixelLayer(self.standardise, name="Dense_0")(images)
+        values = nn.relu(pixels.astype(activations.value or pixels.dtype))
+        values = nn.relu(hidden_layer(32, name="Dense_1")(values.reshape(*values.shape[:-3], -1)))
         return values.reshape(*values.shape[:-3], -1)
 
 
@@ -205,8 +231,8 @@ class GoalDecoder(nn.Module):
         height, width, channels = self.shape
         values = nn.relu(MLP(self.hidden[-1:], height // 8 * (width // 8) * 32)(codes))
         values = values.reshape(*values.shape[:-1], height // 8, width // 8, 32)
-        values = nn.relu(unpatched(nn.Dense(2 * 2 * 16)(values), 2))
-        return unpatched(nn.Dense(4 * 4 * channels)(values), 4)
+        values = nn.relu(unpatched(hidden_layer(2 * 2 * 16)(values), 2))
+        return unpatched(last_layer(4 * 4 * channels)(values), 4)
 
 
 class PatchEncoder(nn.Module):
@@ -219,8 +245,8 @@ class PatchEncoder(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        values = nn.relu(nn.Dense(self.channels)(scaled(patches(images, self.patch))))
-        return nn.relu(nn.LayerNorm()(nn.Dense(self.features)(values.reshape(*values.shape[:-3], -1))))
+        values = nn.relu(hidden_layer(self.channels)(scaled(patches(images, self.patch))))
+        return nn.relu(normalised(hidden_layer(self.features)(values.reshape(*values.shape[:-3], -1))))
 
 
 class VectorEncoder(nn.Module):

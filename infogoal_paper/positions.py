@@ -3,9 +3,9 @@
     python -m infogoal_paper.positions [--runs RUN ...] [--transfers FILE ...] [--peers FILE ...]
 
 `--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv.xz,
-`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl.xz, `--peers` the
-numbers.csv of benchmarks/peers/fetch_sb3_her.py with --reference into docs/results/sb3_her/reference.csv.xz, each in
-place of what was there of the same task, learner and agent, of the same policy, or of the same task and seed.
+`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl.xz, `--peers`
+the numbers.csv of benchmarks/peers/fetch_sb3_her.py with --reference into docs/results/sb3_her/reference.csv.xz, each
+in place of what was there of the same task, learner and agent, of the same policy, or of the same task and seed.
 `pages.py positions` writes the tables of docs/reference/vectors.md.
 
 A run whose folder has log.txt, what `infogoal train ... 2>&1 | ts -s %.s` printed, has seconds since its process began:

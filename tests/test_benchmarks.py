@@ -28,7 +28,7 @@ RUN = {
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],
     "speed/before_and_after.py": [f"{ROOT} --programs rooms/her/1/2 rooms/infogoal/2/2 --rounds 1 --turns 1"],
-    "speed/success.py": ["run after object_search infogoal --seeds 2 --out {tmp}"],
+    "speed/success.py": ["run after object_search infogoal --seeds 2 --bfloat16 --out {tmp}"],
     "speed/fetch.py": ["--tasks fetch_reach --batch 2"],
     "speed/first_run.py": ["run --seeds 1", "update --seeds 1"],
     "speed/first_steps.py": ["--only help"],

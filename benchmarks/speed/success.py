@@ -5,8 +5,8 @@
     python benchmarks/speed/success.py compare RUNS
 
 run: trains the seeds 0, 1, ... of a preset side by side, and keeps success of each at every evaluation, in a file of
-RUNS; --checkout: with the package in this folder. compare: success on test goals at the last evaluation of both, and
-the difference with its 95 % interval, seeds paired, for every task that RUNS has twice.
+RUNS; --checkout: with the package in this folder; --bfloat16: with that field. compare: success on test goals at the
+last evaluation of both, and the difference with its 95 % interval, seeds paired, for every task that RUNS has twice.
 """
 
 import argparse
@@ -27,7 +27,8 @@ def run(arguments: argparse.Namespace) -> None:
     from infogoal_jax.report.statistics import describe_machine
     from infogoal_jax.runner.compilation import compiler_options
 
-    config = presets.load(arguments.task, arguments.method)
+    changes = {"bfloat16": True} if arguments.bfloat16 else {}  # Earlier checkouts have no such field.
+    config = presets.load(arguments.task, arguments.method, **changes)
     train = make_train(config)
     keys = jax.vmap(jax.random.key)(np.arange(arguments.seeds))
     over = jax.vmap(lambda key, hyper, env: train(key, hyper, env).metrics, in_axes=(0, None, None))
@@ -82,6 +83,7 @@ def main() -> None:
     one.add_argument("method")
     one.add_argument("--seeds", type=int, default=5)
     one.add_argument("--checkout", type=Path)
+    one.add_argument("--bfloat16", action="store_true")
     one.add_argument("--out", type=Path, required=True)
     commands.add_parser("compare").add_argument("runs", type=Path)
     arguments = parser.parse_args()

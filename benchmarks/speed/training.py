@@ -1,6 +1,6 @@
 """What training costs, in three tables.
 
-    python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
+    python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1] [--bfloat16]
     python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
     python benchmarks/speed/training.py evaluating [--tasks fetch_pick_and_place] [--method infogoal] [--seeds 16]
 
@@ -136,7 +136,8 @@ def print_rates(arguments) -> None:
         "| one seed's time | state, MiB |\n|---|---|---|---|---|---|---|---|---|"
     )
     for task in arguments.tasks:
-        config, alone = presets.load(task, arguments.method, epochs_per_evaluation=1, evaluation_starts=1), None
+        changes = {"epochs_per_evaluation": 1, "evaluation_starts": 1, "bfloat16": arguments.bfloat16}
+        config, alone = presets.load(task, arguments.method, **changes), None
         train = make_train(config)
         for num_seeds in arguments.seeds:
             steps_rate, env_compile = env_rate(config, train.env, num_seeds, arguments.repeats)
@@ -224,6 +225,7 @@ def main():
     parser.add_argument("--method", default="infogoal")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="side by side")
     parser.add_argument("--repeats", type=int, default=3, help="of rates")
+    parser.add_argument("--bfloat16", action="store_true", help="in layers, for rates")
     arguments = parser.parse_args()
     print(f"{arguments.table}; {describe_machine()}\n")
     TABLES[arguments.table](arguments)

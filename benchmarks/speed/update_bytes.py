@@ -1,6 +1,6 @@
 """How many bytes one update moves through memory, beside the least that its mathematics needs, and how many kernels.
 
-    python benchmarks/speed/update_bytes.py [--tasks object_search ...] [--method infogoal] [--seeds 16] [--largest 12]
+    python benchmarks/speed/update_bytes.py [--tasks object_search ...] [--method infogoal] [--seeds 16] [--bfloat16]
 
 Counted in the program that the compiler made for this device: what every kernel of the loop over updates reads and
 writes; of an array that a kernel takes parts from, those parts. Caches are not known to it, so that an array that two
@@ -316,11 +316,12 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=tasks)
     parser.add_argument("--method", default="infogoal")
     parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--bfloat16", action="store_true", help="in layers")
     parser.add_argument("--largest", type=int, default=12, help="kernels that are listed")
     arguments = parser.parse_args()
     print(f"{arguments.method}, {arguments.seeds} seeds; {describe_machine()}\n")
     for task in arguments.tasks:
-        train = make_train(presets.load(task, arguments.method))
+        train = make_train(presets.load(task, arguments.method, bfloat16=arguments.bfloat16))
         loop, given = loop_of_updates(train, arguments.seeds, UPDATES)
         program = Program(compiled(loop, *given).as_text())
         print(f"## {task}\n")

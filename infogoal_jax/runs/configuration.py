@@ -45,7 +45,7 @@ OF_HEADS = {"bounded": False, "layer_norm": False}
 ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
-    TrainConfig: {"desired_goals": "training"},
+    TrainConfig: {"desired_goals": "training", "bfloat16": False},
     InfoGoalConfig: {"dissimilar_by": "trajectory", "positives": "trajectory", "radius": 0.15},
     InfoGoalHyperparameters: {"beta_margin": 0.005, "beta_floor": 0.0},
     GCBConfig: {"grounded": False},

@@ -16,6 +16,7 @@ from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.learners.learner import Encode, LearnerBatch, Steps, Visited, conditioned
+from infogoal_jax.networks import activations
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.costs import learns_from_costs, sample_costs, with_actor_goals
@@ -306,7 +307,8 @@ def update(
             metrics |= named("explorer", explorer_metrics)
         return total, (metrics, states)
 
-    gradient, (metrics, states) = jax.grad(total_loss, has_aux=True)(state.params)
+    with activations("bfloat16" if setup.config.bfloat16 else None):
+        gradient, (metrics, states) = jax.grad(total_loss, has_aux=True)(state.params)
     gradient, restore = ravel_pytree(gradient)
     norm = jnp.linalg.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))

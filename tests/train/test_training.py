@@ -171,13 +171,14 @@ def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(t
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("known_goals", ["train", "all", "visited"])
-def test_learns_the_hand_made_rooms(known_goals):
+@pytest.mark.parametrize(
+    ("known_goals", "bfloat16"), [("train", False), ("all", False), ("visited", False), ("visited", True)]
+)
+def test_learns_the_hand_made_rooms(known_goals, bfloat16):
     """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it
     nothing to know the others by."""
-    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **LONG), hand_made.environment()))(
-        jax.random.key(0)
-    )
+    config = hand_made.config(known_goals=known_goals, bfloat16=bfloat16, **LONG)
+    result = jax.jit(make_train(config, hand_made.environment()))(jax.random.key(0))
     assert result.metrics["train_goal/success_rate"][-1] >= 0.85
     test_success = result.metrics["test_goal/success_rate"][-1]
     assert test_success >= 0.85 if known_goals != "train" else test_success < 0.85
