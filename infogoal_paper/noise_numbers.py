@@ -35,7 +35,7 @@ from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_jax.report.summary import is_no_bottleneck
 from infogoal_paper import claims, trial_numbers, tuning
-from infogoal_paper.manifest import RELABELLED
+from infogoal_paper.manifest import FETCH, RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
 from infogoal_paper.paper import METHODS as PAPER_METHODS
 from infogoal_paper.scores import over_tasks
@@ -91,20 +91,23 @@ HELD_OUT_SHELF, HELD_OUT_HRAC = "embodied_qa+cql+held_out", "object_manipulation
 HELD_OUT_BESIDE = (*HELD_OUT_FETCH, HELD_OUT_SHELF, HELD_OUT_HRAC)
 ELSEWHERE = {(task, "infogoal+all_goals") for task in ("fetch_reach", "fetch_pick_and_place", "object_manipulation")}
 """What the studies of held-out goals show instead."""
-UNSEEN_FETCH = "fetch_reach+unseen"
-"""FetchReach on goal sets that no choice has seen."""
+UNSEEN_FETCH = {task: f"{task}+unseen" for task in FETCH}
+"""Fetch on goal sets that no choice has seen."""
+CUBE_AGAIN = "object_manipulation+again"
+"""The cube with settings that were chosen again."""
 SEARCHING = "object_search+searching"
 """Object search with a memory, in other lengths of an episode, and InfoBot with other betas."""
 FIRST_TRIALS = "object_search+small"
 """Object search with the small preset's floats, for as many epochs."""
 CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
 """What is run there, in order: methods that are near the best on the shipped goals."""
-OF_REACH = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher")
-"""Methods whose floats are chosen again on FetchReach, in order."""
+CHOSEN_AGAIN = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher")
+"""Methods whose floats are chosen again on Fetch and the cube, in order."""
 SEARCHERS = ("none", "her", "infogoal", "infobot", "infogoal+her", "infobot+her")
 """Methods that are given a memory."""
 BESIDE = {
-    UNSEEN_FETCH: (*CONTENDERS, *(f"{method}@clean" for method in OF_REACH)),
+    **dict.fromkeys(UNSEEN_FETCH.values(), (*CONTENDERS, *(f"{method}@clean" for method in CHOSEN_AGAIN))),
+    CUBE_AGAIN: tuple(f"{method}@clean" for method in CHOSEN_AGAIN),
     FIRST_TRIALS: ("infogoal", "her"),
     SEARCHING: (
         *(f"{method}@memory" for method in SEARCHERS),
@@ -172,7 +175,7 @@ DATA_SETS = (
     TASKS
     | {HELD_OUT: (8, 9, 10)}
     | dict.fromkeys(HELD_OUT_FETCH, (0,))
-    | {UNSEEN_FETCH: (7, 8, 9)}
+    | dict.fromkeys((*UNSEEN_FETCH.values(), CUBE_AGAIN), (7, 8, 9))
     | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
     | dict.fromkeys((FIRST_TRIALS, SEARCHING), TASKS["object_search"])
     | {HELD_OUT_SHELF: (7, 8, 9), HELD_OUT_HRAC: (8, 9, 10)}
@@ -267,11 +270,11 @@ TITLES = {
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
     HELD_OUT: "cube, held out",
-    UNSEEN_FETCH: "FetchReach, unseen goal sets",
     HELD_OUT_FETCH[0]: "FetchReach, held out",
     HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
-TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ} | {
+TITLES |= {task: TITLES[task.partition("+")[0]] for task in (*READ, CUBE_AGAIN)} | {
+    **{unseen: f"{TITLES[task]}, unseen goal sets" for task, unseen in UNSEEN_FETCH.items()},
     FIRST_TRIALS: "object search, small",
     HELD_OUT_SHELF: "questions, held out",
     HELD_OUT_HRAC: "cube under HRAC, held out",
@@ -281,11 +284,9 @@ SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
-CLEAN_PAIRS = {
-    "object_search": PAIRS,
-    "fetch_reach": (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her")),
-    "embodied_qa": (*PAIRS, ("infogoal", "rad")),
-}
+CLEAN_PAIRS = dict.fromkeys(
+    (*FETCH, "object_manipulation"), (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))
+) | {"object_search": PAIRS, "embodied_qa": (*PAIRS, ("infogoal", "rad"))}
 """And where settings were chosen again, on data that no choice has seen."""
 CARRYING_PAIRS = (
     *(("infogoal+all_goals", method) for method in CARRYING if method != "infogoal+all_goals"),
@@ -539,9 +540,21 @@ def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning
     return {method: searches[name] for method, name in named.items() if name in searches}
 
 
-PRESETS_OF = {"object_search": "object_search", "fetch_reach": UNSEEN_FETCH, "embodied_qa": "embodied_qa"}
-CHOSEN_OF = {"object_search": "object_search+read", "fetch_reach": UNSEEN_FETCH, "embodied_qa": "embodied_qa+read"}
+PRESETS_OF = {task: UNSEEN_FETCH.get(task, task) for task in TASKS}
+CHOSEN_OF = {"object_search": "object_search+read", "embodied_qa": "embodied_qa+read"} | {
+    **UNSEEN_FETCH,
+    "object_manipulation": CUBE_AGAIN,
+}
 """By whose names the rows go of presets, and of floats that were chosen again, on each task."""
+ENDINGS = {
+    "object_search": "",
+    "fetch_reach": "_reach",
+    "fetch_push": "_push",
+    "fetch_pick_and_place": "_pick_and_place",
+    "object_manipulation": "_cube",
+    "embodied_qa": "_questions",
+}
+"""Of the names of the tables of each task."""
 
 
 def again(task: str, method: str) -> tuple[str, str]:
@@ -814,7 +827,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if SEARCHING in ran:
         beside |= {"searching": searching_table(numbers)}
     searches = tuning.load(tuning.NUMBERS)
-    for task, ending in (("object_search", ""), ("fetch_reach", "_reach"), ("embodied_qa", "_questions")):
+    for task, ending in ENDINGS.items():
         if any(numbers.has(*again(task, method)) for method in finals_of(task, searches)):
             shown = numbers, task, searches
             beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}
