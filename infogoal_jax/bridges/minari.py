@@ -13,7 +13,6 @@ from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.episodes import Episodes, as_array
 from infogoal_jax.envs.goal_task import between
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.goals import MOST_CHANNELS
 
 EPISODES_AT_ONCE = 256
 """Minari opens its file again for each batch of episodes."""
@@ -32,18 +31,20 @@ def import_minari() -> ModuleType:
 
 
 def episodes_of(dataset: Any) -> Episodes:
-    """The episodes of a Minari dataset whose actions are vectors, for learning offline (data/episodes.py).
+    """The episodes of a Minari dataset whose actions are vectors or moves, for learning offline (data/episodes.py).
 
-    dataset: of `minari.load_dataset`. Observations are vectors, images uint8 with channels last or first, or
-    dictionaries: of a `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys.
-    Actions between the bounds of the dataset's space are scaled to lie from -1 to 1, as those of `envs.from_gymnasium`.
-    Raises `UserError` for what cannot be read so.
+    dataset: of `minari.load_dataset`. Observations are vectors, images uint8 (`as_observations`), or dictionaries: of a
+    `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys, or the one image.
+    Actions between the bounds of the dataset's space are scaled to lie from -1 to 1, as those of `envs.from_gymnasium`;
+    those of a discrete one are moves, from its first on. Raises `UserError` for what cannot be read so.
     """
     known = callable(getattr(dataset, "iterate_episodes", None))
     require(known, "dataset", type(dataset).__name__, "give a MinariDataset, as minari.load_dataset makes it")
     recorded = [(one.observations, as_numbers(one.actions, "actions")) for one in dataset.iterate_episodes()]
     require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
+    moves = recorded[0][1].dtype.kind in "iu" and recorded[0][1].ndim == 1
     low, high = bounds_of(dataset)
+    first = int(getattr(getattr(dataset, "action_space", None), "start", 0)) if moves else 0
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
     for observations, actions in recorded:
         is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
@@ -55,18 +56,22 @@ def episodes_of(dataset: Any) -> Episodes:
             observations = observations["observation"]
         seen = as_observations(observations)
         require(
-            actions.ndim == 2 and len(seen) == len(actions) + 1,
+            actions.ndim == (1 if moves else 2) and len(seen) == len(actions) + 1,
             "actions",
             list(actions.shape),
-            f"give a vector for each of the {len(seen) - 1} steps of an episode",
+            f"give a {'move' if moves else 'vector'} for each of the {len(seen) - 1} steps of an episode",
         )
         columns["observations"].append(seen)
-        scaled = (actions - (low + high) / 2) / ((high - low) / 2)
-        columns["actions"].append(np.pad(scaled.astype(np.float32), ((0, 1), (0, 0))))
+        if moves:
+            columns["actions"].append(np.pad(actions.astype(np.int32) - first, (0, 1)))
+        else:
+            scaled = (actions - (low + high) / 2) / ((high - low) / 2)
+            columns["actions"].append(np.pad(scaled.astype(np.float32), ((0, 1), (0, 0))))
         columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
     different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
     require(True not in different, "observations", "episodes of different shapes", "give one shape")
-    bounds = np.stack([low, high]) if (low != -1).any() or (high != 1).any() else None
+    bounded = not moves and ((low != -1).any() or (high != 1).any())
+    bounds = np.stack([low, high]) if bounded else None
     return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()}, action_bounds=bounds)
 
 
@@ -79,17 +84,23 @@ def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def as_observations(observations: Any) -> np.ndarray:
-    """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C]."""
+    """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C], which uint8 [T, H, W], [T,
+    C, H, W] and stacks of frames [T, K, ...] of these become, those of a stack one behind the other in C."""
     if isinstance(observations, dict):
         parts = [as_observations(observations[name]) for name in sorted(observations)]
-        vectors = all(part.ndim == 2 for part in parts)
-        require(vectors, "observations", sorted(observations), "give vectors, or images alone, under their keys")
-        return np.concatenate(parts, 1)
+        remedy = "give vectors, or one image alone, under their keys"
+        require(all(part.ndim == 2 for part in parts) or len(parts) == 1, "observations", sorted(observations), remedy)
+        return np.concatenate(parts, 1) if len(parts) > 1 else parts[0]
     found = as_numbers(observations, "observations")
-    if found.dtype == np.uint8 and found.ndim == 4:
-        channels_first = found.shape[1] <= MOST_CHANNELS < found.shape[3]
-        return np.moveaxis(found, 1, -1) if channels_first else found
-    return found.reshape(len(found), -1).astype(np.float32)
+    if found.dtype != np.uint8 or found.ndim not in (3, 4, 5):
+        return found.reshape(len(found), -1).astype(np.float32)
+    if found.ndim == 3:
+        return found[..., None]
+    if found.shape[-3] < min(found.shape[-2:]):  # A side of an image is longer than its channels.
+        found = np.moveaxis(found, -3, -1)
+    if found.ndim == 4:
+        return found
+    return np.ascontiguousarray(np.moveaxis(found, 1, -2)).reshape(len(found), *found.shape[2:4], -1)
 
 
 def as_numbers(values: Any, field: str) -> np.ndarray:
@@ -133,10 +144,13 @@ def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: 
         seen |= {"achieved_goal": episodes.achieved_goals, "desired_goal": episodes.desired_goals}
     of_goals = len(seen) > 1
     described = spaces.Dict({key: space(values) for key, values in seen.items()})
-    low, high = np.float32([[-1], [1]]) if episodes.action_bounds is None else episodes.action_bounds
-    taken = np.clip(between((low, high), episodes.actions), low, high)
-    lowest, highest = (np.broadcast_to(bound, taken.shape[1:]) for bound in (low, high))
-    actions = spaces.Box(lowest, highest, dtype=np.float32)
+    if episodes.moves:
+        taken, actions = episodes.actions.astype(np.int64), spaces.Discrete(int(episodes.actions.max()) + 1)
+    else:
+        low, high = np.float32([[-1], [1]]) if episodes.action_bounds is None else episodes.action_bounds
+        taken = np.clip(between((low, high), episodes.actions), low, high)
+        lowest, highest = (np.broadcast_to(bound, taken.shape[1:]) for bound in (low, high))
+        actions = spaces.Box(lowest, highest, dtype=np.float32)
     storage = MinariStorage.new(
         folder, described if of_goals else described["observation"], actions, jpeg_encoding=False
     )

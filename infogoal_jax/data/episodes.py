@@ -1,9 +1,9 @@
-"""Recorded episodes of vectors or images with actions that are vectors, in the layout of OGBench: one npz, episode
-after episode. `load` reads one, `check_episodes` says everything that is wrong with one, `save` writes one.
+"""Recorded episodes of vectors or images with actions that are vectors or moves, in the layout of OGBench: one npz,
+episode after episode. `load` reads one, `check_episodes` says everything that is wrong with one, `save` writes one.
 
     member             type and shape                      what it is
     observations       float32 [N, F], uint8 [N, H, W, C]  what was seen, each episode with its last observation
-    actions            float32 [N, A]                      taken there, from -1 to 1; of a last one not counted
+    actions            float32 [N, A] or int32 [N]         taken there, from -1 to 1; of a last one not counted
     terminals          [N], 0 or 1                         1 for the last observation of an episode
     achieved_goals     float32 [N, D], optional            the goal that was achieved, of a `GoalEnv`
     desired_goals      float32 [N, D], optional            the goal that was desired
@@ -27,10 +27,12 @@ from infogoal_jax.errors import UserError, require
 REMEDY = "give an npz with observations, actions and terminals (docs/reference/datasets.md)"
 VECTORS = Member("float", ("rows", "numbers of an observation"))
 IMAGES = Member("uint8", ("rows", "rows of pixels", "columns of pixels", "channels"))
+ACTIONS = Member("float", ("rows", "numbers of an action"))
+MOVES = Member("integer", ("rows",))
 GOAL = Member("number", ("rows", "numbers of a goal"), needed=False)
 SCHEMA = {
     "observations": VECTORS,
-    "actions": Member("float", ("rows", "numbers of an action")),
+    "actions": ACTIONS,
     "terminals": Member("0 or 1", ("rows",)),
     "achieved_goals": GOAL,
     "desired_goals": GOAL,
@@ -43,6 +45,8 @@ OTHERS = ("qpos", "qvel", "button_states", "rewards", "masks", "tasks")
 """Members of OGBench's files that nothing here needs."""
 WITHIN = 1e-5
 """How far beyond 1 an action may lie."""
+ROUNDED = 1e-3
+"""Rounding to float32 that is told of, in standard deviations of what is rounded."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Episodes:
     observations: np.ndarray
     """float32 [N, F] or uint8 [N, H, W, C]."""
     actions: np.ndarray
-    """float32 [N, A]."""
+    """float32 [N, A], or int32 [N] from 0 on: the numbers of moves."""
     last: np.ndarray
     """bool [N], the last observations of episodes."""
     achieved_goals: np.ndarray | None = None
@@ -64,10 +68,12 @@ class Episodes:
 
     def __post_init__(self):
         members = {name: as_array(name, array) for name, array in self.members().items()}
-        check((*faults_of(members), *faults_of_ends(members["terminals"])))
+        check(faults_of(members))
         object.__setattr__(self, "last", members.pop("terminals").astype(bool))
         for name, array in members.items():
-            object.__setattr__(self, name, array if array.dtype == np.uint8 else np.asarray(array, np.float32))
+            moves = name == "actions" and array.ndim == 1
+            kept = array.dtype if array.dtype == np.uint8 and not moves else np.int32 if moves else np.float32
+            object.__setattr__(self, name, np.asarray(array, kept))
 
     def members(self) -> dict[str, np.ndarray]:
         """The members of a file of them."""
@@ -76,14 +82,42 @@ class Episodes:
         return {name: array for name, array in found.items() if array is not None}
 
     @property
+    def moves(self) -> bool:
+        """Whether actions are the numbers of moves."""
+        return self.actions.ndim == 1
+
+    @property
     def lengths(self) -> np.ndarray:
         """Steps of each episode, int [E]."""
         return np.diff(np.flatnonzero(self.last), prepend=-1) - 1
 
     @property
+    def width(self) -> int:
+        """Observations of the longest episode: of a row that they are learned from."""
+        return int(self.lengths.max()) + 1
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """The row [E] and the column [E] where each episode begins, in rows of `width` with as many whole episodes as
+        follow each other in it."""
+        lengths = self.lengths + 1
+        row, column, place, filled = np.zeros(len(lengths), int), np.zeros(len(lengths), int), 0, 0
+        for number, length in enumerate(lengths):
+            if filled + length > self.width:
+                place, filled = place + 1, 0
+            row[number], column[number] = place, filled
+            filled += length
+        return row, column
+
+    @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, as they lie in the memory of a device."""
-        return sum(array.nbytes for array in self.members().values())
+        """Bytes of the rows that a task makes of them, as they lie in the memory of a device: observations, the goals
+        achieved there, desired goals, actions, and four marks a step. Goals that are not told are states; of images
+        they are left out."""
+        seen, action = (array[0].nbytes for array in (self.observations, self.actions))
+        goal = 0 if self.observations.dtype == np.uint8 else seen
+        goal = goal if self.achieved_goals is None else self.achieved_goals[0].nbytes
+        rows = int(self.places()[0][-1]) + 1
+        return rows * (self.width * (seen + goal) + (self.width - 1) * (goal + action + 4))
 
 
 def load(path: str | os.PathLike) -> Episodes:
@@ -128,17 +162,7 @@ def regular(found: dict[str, np.ndarray], last: np.ndarray) -> Episodes:
     """The episodes of transitions: `last` marks those that an episode ends with, whose next observation is its last
     one."""
     following = found.pop("next_observations")
-    observations = found["observations"]
-    unknown = [name for name in GOALS if name in found]
-    require(not unknown, "next_observations", unknown, "goals after the last transitions are unknown: leave it out")
-    ends = np.flatnonzero(last)
-    require(
-        len(last) == len(observations) and len(ends) > 0 and ends[-1] == len(last) - 1,
-        "terminals",
-        f"{len(ends)} ends",
-        "mark the last transition of each episode, the last of all too",
-    )
-    actions = found["actions"]
+    observations, actions, ends = found["observations"], found["actions"], np.flatnonzero(last)
     nothing = np.zeros((len(ends), *actions.shape[1:]), actions.dtype)
     marks = np.insert(np.zeros(len(observations)), ends + 1, 1)
     return Episodes(
@@ -160,33 +184,46 @@ def is_one(path: str | os.PathLike) -> bool:
 
 def check_episodes(path: str | os.PathLike) -> list[Finding]:
     """Everything that is wrong with the file at `path`, in one pass; empty if there is nothing."""
-    return check_file(path, SCHEMA, REMEDY, faults_of_file, ignored=OTHERS)
+    return check_file(path, SCHEMA, REMEDY, faults_of, remarks_on, ignored=OTHERS)
 
 
-def faults_of_file(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
-    """Every fault of the members of a file in any of the layouts."""
-    faults = [*faults_of(members)]
-    yield from faults
-    if not {"valids", "next_observations"} & members.keys():
-        yield from faults_of_ends(members.get("terminals", np.zeros(0)))
-    elif not faults and not [*missing(members, SCHEMA, REMEDY)]:
-        try:
-            of_arrays(members)
-        except UserError as error:
-            yield "episodes", str(error)
+def remarks_on(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
+    """What can be used and may not be meant: numbers that float32 has not, and one episode alone."""
+    if [*missing(members, SCHEMA, REMEDY)] or any(faults_of(members)):
+        return
+    for name, array in members.items():
+        if array.dtype.itemsize > 4 and array.ndim == 2:
+            error = np.abs(array - array.astype(np.float32)).max(0)
+            for column in np.flatnonzero(error > ROUNDED * array.std(0))[:1]:
+                by = (
+                    f"its column {column} by up to {error[column]:.3g}, where it varies by {array[:, column].std():.3g}"
+                )
+                yield name, f"is {array.dtype}; float32 rounds {by}; subtract its mean"
+    if len(of_arrays(members).lengths) == 1:
+        yield "terminals", "all is one episode; mark the end of each, if there are more"
 
 
 def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
-    """The faults of these arrays, each by itself, and of their lengths."""
+    """Every fault of the members of a file in any of the layouts: of each by itself, of their lengths, and of where
+    episodes end."""
     images = "observations" in members and members["observations"].dtype == np.uint8
     seen = IMAGES if images else VECTORS
+    moves = "actions" in members and members["actions"].dtype.kind in "iu" and members["actions"].ndim == 1
     found, lengths, faults = fitting(
-        members, SCHEMA | {"observations": seen, "next_observations": seen._replace(needed=False)}
+        members,
+        SCHEMA
+        | {"observations": seen, "next_observations": seen._replace(needed=False)}
+        | ({"actions": MOVES} if moves else {}),
     )
     yield from limited(faults)
     if lengths.get("channels", 0) > lengths.get("rows of pixels", 0):
         yield "observations", f"is {list(found['observations'].shape)}, more channels than rows; give [N, H, W, C]"
-    beyond = (np.abs(found.get("actions", np.zeros((0, 1)))) > 1 + WITHIN).any(1)
+    taken = found.get("actions", np.zeros((0, 1)))
+    for row in np.flatnonzero(taken < 0)[:1] if moves else ():
+        yield f"actions[{row}]", f"is {taken[row]}; moves have numbers from 0 on"
+    if moves and "action_bounds" in members:
+        yield "action_bounds", "is of actions that are vectors, and these are moves; leave it out"
+    beyond = np.zeros(0) if moves else (np.abs(taken) > 1 + WITHIN).any(1)
     for row in np.flatnonzero(beyond)[:1]:
         given = f"is {found['actions'][row].tolist()}, and {beyond.sum():,} rows go beyond -1 to 1"
         yield f"actions[{row}]", f"{given}; divide by the largest action"
@@ -196,31 +233,48 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     for name in ("terminals", "valids"):
         for row in np.flatnonzero(~np.isin(found.get(name, 0), (0, 1)))[:1]:
             yield f"{name}[{row}]", f"is {found[name][row]}; give 0 or 1"
+    yield from faults_of_ends(members, found)
 
 
-def faults_of_ends(terminals: np.ndarray) -> Iterator[tuple[str, str]]:
-    """What is wrong with where episodes end."""
-    is_marks = terminals.dtype.kind in KINDS["0 or 1"] and terminals.ndim == 1 and len(terminals) > 0
-    if not is_marks or not np.isin(terminals, (0, 1)).all():
+def faults_of_ends(members: Mapping[str, np.ndarray], found: Mapping[str, np.ndarray]) -> Iterator[Fault]:
+    """What is wrong with where episodes end, in each of the layouts. found: the members that are right by
+    themselves."""
+    name, following = "valids" if "valids" in members else "terminals", members.get("next_observations")
+    if following is not None and "valids" in members:
+        yield "next_observations", "goes without valids; leave one of both out"
         return
-    ends = np.flatnonzero(terminals)
+    for goal in GOALS if following is not None else ():
+        if goal in members:
+            yield goal, "goals after the last transitions are unknown; leave next_observations out"
+    marks = members.get(name, np.zeros(0))
+    is_marks = marks.dtype.kind in KINDS["0 or 1"] and marks.ndim == 1 and len(marks) > 0
+    if not is_marks or not np.isin(marks, (0, 1)).all():
+        return
+    end = int(name == "terminals")
+    ends, what = np.flatnonzero(marks == end), "observations" if following is None else "transitions"
     if not len(ends):
-        yield "terminals", "no episode ends; mark the last observation of each"
+        yield name, f"no episode ends; mark the last of its {what} by {end}"
         return
-    if ends[-1] != len(terminals) - 1:
-        left = len(terminals) - 1 - ends[-1]
-        yield f"terminals[{len(terminals) - 1}]", f"is 0: the last {left:,} observations belong to no episode; give 1"
-    if (np.diff(ends, prepend=-1) < 2).all():
-        yield "terminals", "no episode has a step; mark the last observation of each alone"
+    left = len(marks) - 1 - ends[-1]
+    if left and name in found:
+        yield f"{name}[{len(marks) - 1}]", f"is {1 - end}: the last {left:,} {what} belong to no episode; give {end}"
+    if following is None and (np.diff(ends, prepend=-1) < 2).all():
+        yield name, f"no episode has a step; mark the last of its observations alone by {end}"
+    if {name, "observations", "next_observations"} <= found.keys():
+        seen = found["observations"]
+        apart = (following[:-1] != seen[1:]).reshape(len(seen) - 1, -1).any(1) & (marks[:-1] != end)
+        for row in np.flatnonzero(apart)[:1]:
+            said = f"is not the observation that follows, in {apart.sum():,} rows"
+            yield f"next_observations[{row}]", f"{said}; mark the ends of episodes in terminals"
 
 
 def describe(episodes: Episodes) -> str:
     """What is in them, in a line, and what it takes on a device."""
     lengths = episodes.lengths
     seen = " x ".join(map(str, episodes.observations.shape[1:]))
+    acts = "moves" if episodes.moves else f"{episodes.actions.shape[1]}"
     span = f"{lengths.min():,}" + (f" to {lengths.max():,}" if lengths.min() < lengths.max() else "")
     return (
         f"{len(lengths):,} episodes of {span} steps, {lengths.sum():,} in all; observations {seen} "
-        f"{episodes.observations.dtype}, actions {episodes.actions.shape[1]}; {episodes.nbytes / 1e6:,.1f} MB on the "
-        "device"
+        f"{episodes.observations.dtype}, actions {acts}; {episodes.nbytes / 1e6:,.1f} MB on the device"
     )

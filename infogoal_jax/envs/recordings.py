@@ -3,6 +3,7 @@ goals the same task to be learned offline. It is simulated in evaluations alone.
 recordings alone, whose environment is elsewhere."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Callable
 
@@ -22,6 +23,9 @@ from infogoal_jax.replay import Trajectories
 
 MARGIN = 1e-3
 """Of a goal that is reached at its very state alone, in its units."""
+AT_ONCE = 2**28
+"""Bytes of observations whose goals are read at once. Before training nothing else lies on a device: recordings may be
+larger than its memory, which is said then."""
 
 
 def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTask:
@@ -42,19 +46,21 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
         f"{observations.dtype} {list(observations.shape[1:])}",
         f"the task has {seen.dtype} {list(seen.shape)}",
     )
-    require(
-        not task.discrete and episodes.actions.shape[1] == task.action_size,
-        "actions",
-        episodes.actions.shape[1],
-        f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}",
+    told = f"{int(episodes.actions.max()) + 1} moves" if episodes.moves else episodes.actions.shape[1]
+    fits = episodes.moves == task.discrete and (
+        episodes.actions.max() < task.action_size if task.discrete else told == task.action_size
     )
+    owns = f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}"
+    require(bool(fits), "actions", told, owns)
     bounds, own = episodes.action_bounds, task.action_bounds
     if bounds is not None and own is not None:
         remedy = f"give recordings of the task, whose actions have {np.asarray(own).tolist()}"
         require(np.allclose(bounds, own), "action_bounds", bounds.tolist(), remedy)
     achieved = episodes.achieved_goals
     if achieved is None:
-        achieved = np.asarray(jax.jit(jax.vmap(task.achieved_in))(episodes.observations))
+        told = jax.jit(jax.vmap(task.achieved_in))
+        parts = np.array_split(episodes.observations, math.ceil(episodes.observations.nbytes / AT_ONCE))
+        achieved = np.concatenate([np.asarray(told(part)) for part in parts])
     for name, goals in (("achieved_goals", achieved), ("desired_goals", episodes.desired_goals)):
         fits = goals is None or goals.shape[1:] == (size,)
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
@@ -65,7 +71,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     told = "source" in {field.name for field in dataclasses.fields(task)}
     content = checksum(episodes.observations, episodes.actions)
     said = {"source": f"{task.source}; learned from recordings {content}"} if told else {}
-    return task.replace(recorded=jax.tree.map(jax.device_put, rows), **said)
+    return task.replace(recorded=rows, **said)
 
 
 @flax.struct.dataclass
@@ -74,7 +80,9 @@ class RecordedTask(GoalTask):
     began."""
 
     action_size: int = flax.struct.field(pytree_node=False, default=1)
-    """Numbers in an action."""
+    """Numbers in an action, or how many moves there are."""
+    discrete: bool = flax.struct.field(pytree_node=False, default=False)
+    """Whether actions are moves."""
     action_bounds: np.ndarray | None = None
     """Those of the recordings."""
     source: str = flax.struct.field(pytree_node=False, default="recordings alone; success is measured elsewhere")
@@ -138,12 +146,12 @@ def from_recordings(
         num_evaluated=1,
     )
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)
-    longest = int(episodes.lengths.max())
     task = RecordedTask(
         space,
         radius=MARGIN,
-        episode_length=longest,
-        action_size=episodes.actions.shape[1],
+        episode_length=episodes.width - 1,
+        action_size=int(episodes.actions.max()) + 1 if episodes.moves else episodes.actions.shape[1],
+        discrete=episodes.moves,
         action_bounds=episodes.action_bounds,
     )
     return with_recordings(task, alone)
@@ -166,17 +174,10 @@ def rows_of(
 ) -> Trajectories:
     """The episodes as rows as long as the longest of them, each with as many whole episodes as follow each other in
     it."""
-    lengths = episodes.lengths + 1
-    width = int(lengths.max())
-    row, column, place, filled = np.zeros(len(lengths), int), np.zeros(len(lengths), int), 0, 0
-    for number, length in enumerate(lengths):
-        if filled + length > width:
-            place, filled = place + 1, 0
-        row[number], column[number] = place, filled
-        filled += length
+    lengths, (row, column) = episodes.lengths + 1, episodes.places()
     steps = np.concatenate([np.arange(length) for length in lengths])
     rows, columns = np.repeat(row, lengths), np.repeat(column, lengths) + steps
-    shape = (place + 1, width)
+    shape = (int(row[-1]) + 1, episodes.width)
 
     def laid_out(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """The values [N, ...] at their places, [R, T, ...]."""
@@ -197,7 +198,7 @@ def rows_of(
     return Trajectories(
         observation=laid_out(observations, shape),
         record=laid_out(achieved, shape),
-        action=laid_out(np.clip(episodes.actions, -1.0, 1.0), within),
+        action=laid_out(episodes.actions if episodes.moves else np.clip(episodes.actions, -1.0, 1.0), within),
         desired_goal=laid_out(desired, within),
         valid=valid,
         terminated=none,

@@ -72,6 +72,7 @@ class Train:
         check_hyperparameters(self.config, hyper)
         env = self.env if env is None else env
         self.check_env(env)
+        env = jax.tree.map(jnp.asarray, env)  # Recordings wait outside of the device until now.
         require(
             isinstance(key, jax.Array)
             and (key.shape == () if is_key(key) else key.dtype == jnp.uint32 and key.ndim == 1),

@@ -18,6 +18,8 @@ from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
 from infogoal_jax.envs.recordings import from_recordings, with_recordings
 from infogoal_jax.replay import Trajectories, steps_left
+from infogoal_jax.runner import memory
+from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.train.rollout import collect
 
 LENGTHS = (3, 1, 5)
@@ -73,9 +75,7 @@ def test_the_layouts_in_memory_are_the_same_episodes(kind):
 def test_images_stay_bytes():
     images = np.arange(len(recorded()["actions"]) * 48, dtype=np.uint8).reshape(-1, 4, 4, 3)
     made = Episodes(images, recorded()["actions"], recorded()["terminals"])
-    assert made.observations.dtype == np.uint8
-    assert made.nbytes == images.nbytes + 4 * len(images) + len(images)  # An action is 4 bytes, an end 1.
-    assert "4 x 4 x 3 uint8" in episodes.describe(made)
+    assert made.observations.dtype == np.uint8 and "4 x 4 x 3 uint8" in episodes.describe(made)
 
 
 SEEN = recorded()["observations"]
@@ -93,9 +93,11 @@ FAULTS = {
     "records": ({"terminals": np.zeros(12, [("a", "i8")])}, ["terminals: is [('a', '<i8')]; give 0 or 1"]),
     "one axis": ({"observations": SEEN[:, 0]}, ["observations: has the shape [12]; give [rows, numbers"]),
     "complex": ({"actions": SEEN + 1j}, ["actions: is complex64; give float"]),
-    "moves": (
-        {"actions": np.zeros(12, np.int32)},
-        ["actions: is int32; give float", "actions: has the shape [12]; give [rows, numbers"],
+    "whole numbers of vectors": ({"actions": np.zeros((12, 1), np.int32)}, ["actions: is int32; give float"]),
+    "moves below 0": ({"actions": -np.arange(12)}, ["actions[1]: is -1; moves have numbers from 0 on"]),
+    "bounds of moves": (
+        {"actions": np.arange(12), "action_bounds": np.array([[0.0], [1.0]])},
+        ["action_bounds: is of actions that are vectors, and these are moves; leave it out"],
     ),
     "large actions": ({"actions": SEEN}, ["and 10 rows go beyond -1 to 1"]),
     "lengths": ({"actions": np.zeros((11, 1))}, ["actions: has 11 rows, but observations has 12"]),
@@ -124,6 +126,26 @@ FAULTS = {
         {"observations": HOLE, "actions": np.full((11, 1), 3.0), "terminals": np.zeros(12)},
         ["observations[4]", "actions[0]: is [3.0], and 11 rows", "has 12 rows, but actions has 11", "no episode"],
     ),
+    "two layouts": (
+        {"valids": 1 - recorded()["terminals"], "next_observations": SEEN},
+        ["next_observations: goes without valids; leave one of both out"],
+    ),
+    "transitions that do not follow": (
+        in_memory("regular") | {"next_observations": in_memory("regular")["observations"] + 5},
+        ["next_observations[0]: is not the observation that follows, in 6 rows; mark the ends of episodes"],
+    ),
+    "transitions, two at once": (
+        in_memory("regular") | {"actions": np.full((9, 1), 2.0), "terminals": np.zeros(9), "desired_goals": SEEN[:9]},
+        [
+            "actions[0]: is [2.0]",
+            "terminals: no episode ends; mark the last of its transitions by 1",
+            "desired_goals: g",
+        ],
+    ),
+    "compact, two at once": (
+        in_memory("compact") | {"actions": np.full((12, 1), 2.0), "valids": np.ones(12)},
+        ["actions[0]: is [2.0]", "valids: no episode ends; mark the last of its observations by 0"],
+    ),
 }
 
 
@@ -139,6 +161,28 @@ def test_everything_that_is_wrong_is_said_in_one_pass(name, tmp_path):
     with pytest.raises(UserError) as refused:
         load(file)
     assert str(file) in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_marks_of_another_length_are_one_fault(tmp_path):
+    np.savez(tmp_path / "walks.npz", **recorded(terminals=np.eye(14)[5]))
+    (found,) = check_episodes(tmp_path / "walks.npz")
+    assert found.problem.startswith("has 14 rows, but observations has 12")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"observations": SEEN.astype(np.float64) * 1e-3 + 1e6},
+            "observations: is float64; float32 rounds its column 0",
+        ),
+        ({"terminals": np.eye(12)[11]}, "terminals: all is one episode"),
+    ],
+)
+def test_what_may_not_be_meant_is_a_warning(changes, said, tmp_path):
+    np.savez(tmp_path / "walks.npz", **recorded(**changes))
+    (found,) = check_episodes(tmp_path / "walks.npz")
+    assert found.severity == "warning" and said in f"{found.where}: {found.problem}"
 
 
 IN_MEMORY = {
@@ -223,6 +267,60 @@ def test_the_command_says_what_is_in_a_file_and_what_it_takes(tmp_path, capsys):
     assert "error    " in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("lengths", [(5, 5), (7, 3, 2, 4)], ids=["equal", "of several lengths"])
+@pytest.mark.parametrize("goals", [False, True])
+def test_the_bytes_that_are_told_are_those_that_a_device_holds(lengths, goals):
+    """Rows are as long as the longest episode, and hold each state up to three times."""
+    ends = np.cumsum(np.array(lengths) + 1)
+    seen = np.random.default_rng(0).uniform(-1, 1, (ends[-1], 2)).astype(np.float32)
+    told = {"achieved_goals": seen, "desired_goals": abs(seen)} if goals else {}
+    made = of_arrays(
+        {"observations": seen, "actions": seen, "terminals": np.isin(np.arange(1, len(seen) + 1), ends)} | told
+    )
+    task = with_recordings(maze(), made) if goals else from_recordings(made)
+    assert made.nbytes == bytes_of(task.recorded)
+
+
+def test_recordings_larger_than_a_device_are_refused_before_they_lie_on_it(tmp_path, monkeypatch, capsys):
+    """In one line of the file, with the bytes that it takes."""
+    steps = 20_000
+    seen = np.random.default_rng(0).uniform(-1, 1, (steps, 2)).astype(np.float32)
+    save(
+        tmp_path / "walks.npz",
+        of_arrays({"observations": seen, "actions": seen, "terminals": np.arange(steps) % 100 == 99}),
+    )
+    put = jax.device_put
+
+    def device_put(value, *given, **named):
+        assert sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(value)) < 100_000
+        return put(value, *given, **named)
+
+    monkeypatch.setattr(jax, "device_put", device_put)
+    monkeypatch.setattr(memory, "device_memory", lambda device: 1_000_000)
+    words = ["train", "point_maze", "--method", "none", "--agent", "gciql", "--out", str(tmp_path / "run")]
+    assert main([*words, "--env.dataset", str(tmp_path / "walks.npz")]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "env.dataset = " in said and "leave out some of its episodes" in said and not (tmp_path / "run").exists()
+
+
+def test_recorded_moves_are_learned_from(tmp_path):
+    """By the agents that choose among moves; one more than the largest that was recorded, or those of a task."""
+    moves = np.arange(12) % 4
+    made = of_arrays(recorded(observations=SIDE, actions=moves))
+    save(tmp_path / "walks.npz", made)
+    assert np.array_equal(load(tmp_path / "walks.npz").actions, moves) and "actions moves;" in episodes.describe(made)
+    task = from_recordings(tmp_path / "walks.npz")
+    assert task.discrete and task.action_size == 4 and task.recorded.action.dtype == np.int32
+    with pytest.raises(UserError, match="actions = '4 moves': the task has 2 numbers in an action"):
+        with_recordings(maze(), made)
+    presets.register("recorded_moves", task, presets.OGBENCH)
+    sizes = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "batch_size": 8}
+    config = presets.load("recorded_moves", "none", agent="cql", relabelling="her", **sizes)
+    assert np.isfinite(jit(make_train(config, task))(jax.random.key(0)).epochs["agent/loss"]).all()
+    with pytest.raises(UserError, match="has a few moves to choose from: give dqn or cql"):
+        make_train(presets.load("recorded_moves", "none", **sizes), task)
+
+
 def of_minari(make_observations, actions=None) -> Episodes:
     """What is read of a dataset of Minari with two episodes, of 2 and 4 steps. make_observations: (steps) -> those of
     an episode."""
@@ -272,15 +370,47 @@ def test_minari_s_vectors_dictionaries_and_images_are_read():
     assert of_minari(lambda steps: numbers(steps, 3)).observations.shape == (8, 3)
     together = of_minari(lambda steps: {"b": numbers(steps, 1) + 10, "a": numbers(steps, 2)})
     assert together.observations[1].tolist() == [1, 1, 11] and together.achieved_goals is None
-    for shape in ((8, 8, 3), (3, 8, 8)):
-        images = of_minari(lambda steps, shape=shape: numbers(steps, *shape).astype(np.uint8)).observations
-        assert images.dtype == np.uint8 and images.shape == (8, 8, 8, 3)
+
+
+@pytest.mark.parametrize(
+    ("shape", "read"),
+    [
+        ((8, 8, 3), (8, 8, 3)),
+        ((3, 8, 8), (8, 8, 3)),
+        ((8, 9), (8, 9, 1)),
+        ((4, 84, 84), (84, 84, 4)),
+        ((9, 64, 64), (64, 64, 9)),
+        ((4, 16, 16, 3), (16, 16, 12)),
+        ((4, 3, 16, 16), (16, 16, 12)),
+    ],
+)
+def test_minari_s_images_and_stacks_of_them_stay_bytes(shape, read):
+    """With channels last; the frames of a stack one behind the other."""
+    given = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    images = of_minari(lambda steps: np.stack([given] * (steps + 1))).observations
+    assert images.dtype == np.uint8 and images.shape == (8, *read)
+    frames = given if given.ndim == 4 else given[None]
+    last = [frame if frame.shape[-1] == 3 or frame.ndim == 2 else np.moveaxis(frame, 0, -1) for frame in frames]
+    assert np.array_equal(images[5], np.concatenate([each.reshape(*read[:2], -1) for each in last], -1))
+    assert np.array_equal(of_minari(lambda steps: {"pixels": np.stack([given] * (steps + 1))}).observations, images)
+
+
+def test_minari_s_moves_begin_at_0():
+    space = SimpleNamespace(start=3, n=4)
+    one = SimpleNamespace(observations=numbers(3, 2), actions=np.array([3, 6, 4]))
+    found = episodes_of(SimpleNamespace(action_space=space, iterate_episodes=lambda: [one]))
+    assert found.moves and found.actions.tolist() == [0, 3, 1, 0] and found.action_bounds is None
 
 
 @pytest.mark.parametrize(
     ("make_observations", "actions", "said"),
     [
-        (lambda steps: numbers(steps, 3), lambda steps: np.zeros(steps, int), "actions = [2]: give a vector for each"),
+        (lambda steps: numbers(steps, 3), lambda steps: np.zeros(steps), "actions = [2]: give a vector for each"),
+        (
+            lambda steps: numbers(steps, 3),
+            lambda steps: np.zeros(steps + 1, int),
+            "actions = [3]: give a move for each",
+        ),
         (lambda steps: numbers(steps, steps), None, "episodes of different shapes"),
         (lambda steps: {"a": numbers(steps, 8, 8, 3).astype(np.uint8), "b": numbers(steps, 2)}, None, "give vectors"),
         (lambda steps: np.array(["text"] * (steps + 1)), None, "observations = '<U4': give numbers"),
@@ -412,7 +542,6 @@ def test_a_policy_of_minari_s_recordings_acts_between_the_bounds_that_they_had(t
     save(tmp_path / "walks.npz", episodes_of(SimpleNamespace(action_space=space, iterate_episodes=lambda: [walk])))
     task, given = from_recordings(tmp_path / "walks.npz"), np.array([[-1, -1], [0, 0], [2, 1]], np.float32)
     assert np.array_equal(task.own_action(given), np.array([low, [1.5, 0.0], high], np.float32))
-    assert check_episodes(tmp_path / "walks.npz") == []
     plain = from_recordings(of_arrays(recorded(actions=np.zeros((12, 2)))))
     assert np.array_equal(plain.own_action(given), given)
 
