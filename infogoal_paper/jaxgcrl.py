@@ -127,16 +127,16 @@ def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tupl
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
     """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are, where
-    both were timed alone, or both beside others."""
+    both were timed alone."""
     lines, timed = [], {each.program() for each in alone}
     for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
-            alike = ((task, agent, side) in timed) == ((task, agent, "theirs") in timed)
+            alone_both = {(task, agent, side), (task, agent, "theirs")} <= timed
             success = [tight(mean_interval(found)) for found in (curves[:, -1], success_at(outcome, reached))]
             speeds = [
-                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and alike and side != "theirs" else "")
+                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and alone_both and side != "theirs" else "")
                 for own, other in (
                     (outcome.steps_per_second(), theirs and theirs.steps_per_second()),
                     (outcome.updates_per_second(), theirs and theirs.updates_per_second()),
@@ -176,7 +176,7 @@ def foot(outcomes: Iterable[Outcome]) -> str:
 
 
 HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]
-HEAD += ["steps/s", "updates/s", f"s to {SUCCESS} (a seed)"]
+HEAD += ["steps/s", "updates/s", f"GPU s a seed to {SUCCESS}"]
 
 
 def load(paths: Iterable[Path]) -> list[Outcome]:
@@ -226,7 +226,7 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
                 draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
             upper.set(title=f"{task}, {agent}", xlabel="million steps")
-            lower.set(xlabel="seconds a seed")
+            lower.set(xlabel="GPU seconds a seed")
             for axes in (upper, lower):
                 finish_share_axis(axes, "success" if axes in panels[:, 0] else "")
         lines = {line.get_label(): line for axes in panels[0] for line in axes.get_lines()}

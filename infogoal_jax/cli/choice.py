@@ -99,7 +99,8 @@ class Choice(Parts):
 
 
 ENV = "--env"
-"""The flag for an environment of another library. Each library is a task, whose flag --env.id says which one."""
+"""The flag for an environment of another library, or recordings. Each library is a task, whose flag --env.id says which
+one."""
 
 
 def libraries() -> list[str]:
@@ -129,13 +130,12 @@ def with_environment(arguments: list[str]) -> list[str]:
         return arguments
     library, _, name = given[0].partition(":")
     remedy = f"give {' or '.join(f'{known}:NAME' for known in libraries())}"
-    if library == "ogbench":
-        remedy = "it is data without a simulator in JAX: give --env.dataset FILE, or envs.from_recordings(FILE)"
     if len(given) > 1 or library not in libraries() or not name:
         raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, libraries())}".rstrip("."))
     if first_word(rest):
         raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
-    return [library, "--env.id", name, *rest]
+    is_file = library == "ogbench" and name.endswith(".npz")
+    return [library, "--env.dataset" if is_file else "--env.id", name, *rest]
 
 
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:

@@ -1,17 +1,19 @@
-"""Environments of brax, MuJoCo Playground, JaxGCRL and Gymnasium by their names: `infogoal train --env brax:reacher`. A
-task of each library, whose configuration has the id, so that a run remembers it. `presets/loading.py` registers such a
-task when it is asked for."""
+"""Environments of brax, MuJoCo Playground, JaxGCRL and Gymnasium by their names: `infogoal train --env brax:reacher`; and
+datasets of OGBench. A task of each library, whose configuration has the id, so that a run remembers it.
+`presets/loading.py` registers such a task when it is asked for."""
 
 import dataclasses
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
 from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
-from infogoal_jax.envs.goal_task import GoalTaskConfig, traits
-from infogoal_jax.envs.recordings import recorded_in
-from infogoal_jax.errors import nearest, require
+from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig, traits
+from infogoal_jax.envs.recordings import from_recordings, recorded_in
+from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.field_types import Size, Within
 from infogoal_jax.registry import Entry
 
@@ -61,6 +63,16 @@ class JaxGCRLConfig(NamedConfig):
 
 class GymnasiumConfig(LibraryConfig):
     """As `LibraryConfig`, of Gymnasium, where a goal is known as one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OGBenchConfig:
+    """Which recorded episodes of OGBench's kind. Nobody acts: success is measured elsewhere."""
+
+    id: str = ""
+    """Name of one of its datasets, which OGBench has downloaded."""
+    dataset: str = ""
+    """File of recorded episodes in its place (docs/reference/datasets.md)."""
 
 
 BRAX = {
@@ -145,10 +157,34 @@ def with_recordings(make: Callable[[LibraryConfig], AdaptedTask], config: Librar
     return recorded_in(make(config), config.dataset)
 
 
+DOWNLOADED = "~/.ogbench/data"
+"""Where OGBench puts its datasets, unless it is told another folder."""
+
+
+def make_ogbench(config: OGBenchConfig) -> GoalTask:
+    """Recorded episodes alone."""
+    require(
+        bool(config.id or config.dataset), "env.id", config.id, "name a dataset of OGBench, or give --env.dataset FILE"
+    )
+    file = config.dataset or os.path.expanduser(f"{DOWNLOADED}/{config.id}.npz")
+    remedy = f"is not in {DOWNLOADED}: ogbench.download_datasets([NAME]) fetches it, or give --env.dataset FILE"
+    require(bool(config.dataset) or os.path.exists(file), "env.id", config.id, remedy)
+    try:
+        return from_recordings(file)
+    except UserError as error:
+        field = f"env.dataset = {config.dataset!r}" if config.dataset else f"env.id = {config.id!r}"
+        raise UserError(f"{field}: {str(error).removeprefix(f'dataset = {file!r}: ')}") from error
+
+
 LIBRARIES = {
     "brax": Entry(BraxConfig, partial(with_recordings, make_brax), traits=traits),
     "playground": Entry(PlaygroundConfig, partial(with_recordings, make_playground), traits=traits),
     "jaxgcrl": Entry(JaxGCRLConfig, partial(with_recordings, make_jaxgcrl), traits=traits),
     "gymnasium": Entry(GymnasiumConfig, partial(with_recordings, make_gymnasium), traits=traits),
+    "ogbench": Entry(
+        OGBenchConfig,
+        make_ogbench,
+        traits=lambda config: Traits(finite_goals=False, moves=False, recorded=True, ends_at_goal=True),
+    ),
 }
 """The task of each library, by its name."""

@@ -82,10 +82,13 @@ from the origin they lie, and places of the maze on one line through it look ali
 SAC learns that maze faster (0.81 and 0.53 of its goals after a million steps, three seeds) [M]."""
 
 
+OWN = {"jaxgcrl": JAXGCRL, "ogbench": dataclasses.replace(OGBENCH, description="Recordings: --env ogbench:DATASET.")}
+
+
 def of_library(task: str) -> Preset:
     """The preset of another library's environments (`envs/named.py`)."""
-    if task == "jaxgcrl":
-        return JAXGCRL
+    if task in OWN:
+        return OWN[task]
     words = {"brax": "brax", "playground": "MuJoCo Playground", "gymnasium": "Gymnasium"}
     of_task = preset(f"An environment of {words[task]}, by its name: --env {task}:NAME.", 100)
     return dataclasses.replace(of_task, **LIVE) if task == "gymnasium" else of_task

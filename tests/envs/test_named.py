@@ -4,11 +4,13 @@ import dataclasses
 import importlib.util
 import sys
 
+import numpy as np
 import pytest
 
 from infogoal_jax import envs, presets
 from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.main import main
+from infogoal_jax.data.episodes import of_arrays, save
 from infogoal_jax.envs import named
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import load_environment
@@ -28,6 +30,8 @@ SMALL += " --updates-per-epoch 2 --batch-size 8 --evaluation-starts 1 --no-figur
         ("--seeds 2 --env=jaxgcrl:ant", "jaxgcrl --env.id ant --seeds 2"),
         ("playground:ReacherEasy --help", "playground --env.id ReacherEasy --help"),
         ("point_maze --env.held-out", "point_maze --env.held-out"),
+        ("--env ogbench:cube-single-play-v0 --seeds 2", "ogbench --env.id cube-single-play-v0 --seeds 2"),
+        ("ogbench:my/walks.npz", "ogbench --env.dataset my/walks.npz"),
         ("", ""),
     ],
 )
@@ -55,6 +59,9 @@ def test_words_mean_a_task_and_a_name(words, meant):
         ),
         ("--env brax:reacher --env.goal 4 --env.achieved 0", "env.radius = 0.0: goes with --env.goal"),
         ("--env brax:reacher --env.radius -1", "env.radius = -1.0: give a distance"),
+        ("--env ogbench:antmaze-v0", "env.id = 'antmaze-v0': is not in ~/.ogbench/data: ogbench.download_datasets"),
+        ("--env ogbench:gone.npz", "env.dataset = 'gone.npz': no such file"),
+        ("ogbench", "env.id = '': name a dataset of OGBench, or give --env.dataset FILE"),
     ],
 )
 def test_what_is_not_there_is_one_line(words, said, capsys):
@@ -117,3 +124,23 @@ def test_a_run_remembers_its_environment(name, package, said, tmp_path, capsys):
         assert main(words) == 0
     assert main(["export", run, "--out", str(tmp_path / "policy.npz")]) == 0
     assert (tmp_path / "policy.npz").exists()
+
+
+@pytest.mark.parametrize("downloaded", [True, False])
+def test_a_dataset_of_ogbench_is_learned_from_by_its_name(downloaded, tmp_path, monkeypatch, capsys):
+    """Where OGBench downloads to, or from a file, which may have moved when the run goes on."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    seen = np.random.default_rng(0).uniform(-1, 1, (60, 3)).astype(np.float32)
+    file = tmp_path / ".ogbench" / "data" / "walks-v0.npz"
+    file.parent.mkdir(parents=True)
+    save(file, of_arrays({"observations": seen, "actions": seen[:, :2], "terminals": np.arange(60) % 20 == 19}))
+    run, words = str(tmp_path / "run"), "--num-epochs 1 --epochs-per-evaluation 1 --updates-per-epoch 2 --batch-size 8"
+    name = "walks-v0" if downloaded else str(file)
+    command = ["train", "--env", f"ogbench:{name}", "--method", "none", *words.split(), "--no-figures", "--out", run]
+    assert main(command) == 0 and "learned from recordings" in capsys.readouterr().out
+    assert configuration.read(tmp_path / "run").config.agent == presets.load("ogbench", "none").agent
+    moved = []
+    if not downloaded:
+        file.rename(tmp_path / "moved.npz")
+        moved = ["--env.dataset", str(tmp_path / "moved.npz")]
+    assert main(["train", "--resume", run, "--num-epochs", "2", "--no-figures", *moved]) == 0
