@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import make_train, networks
+from infogoal_jax.exploration.sse_db import Projection
 
 IMAGES = jnp.asarray(np.random.default_rng(0).integers(0, 256, (5, 16, 16, 3)), jnp.uint8)
 VECTORS = jnp.asarray(np.random.default_rng(1).normal(size=(5, 7)), jnp.float32)
@@ -16,6 +17,7 @@ NETWORKS = {
     "a goal encoder": (networks.GaussianEncoder((32, 32), 6, standardise=True), IMAGES),
     "a decoder": (networks.GoalDecoder((32,), (16, 16, 3)), VECTORS),
     "a state encoder": (networks.PatchEncoder(8, 8, 32), IMAGES),
+    "an explorer's projection": (Projection(32, 6), VECTORS),
 }
 
 

@@ -1,5 +1,5 @@
-"""Environments of brax, MuJoCo Playground, JaxGCRL and Gymnasium by their names: `infogoal train --env brax:reacher`; and
-datasets of OGBench. A task of each library, whose configuration has the id, so that a run remembers it.
+"""Environments of brax, MuJoCo Playground, JaxGCRL and Gymnasium, and datasets of OGBench, by their names: `infogoal
+train --env brax:reacher`. A task of each library, whose configuration has the id, so that a run remembers it.
 `presets/loading.py` registers such a task when it is asked for."""
 
 import dataclasses

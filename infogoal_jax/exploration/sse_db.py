@@ -68,7 +68,7 @@ class MoveLayer(nn.Module):
 
     @nn.compact
     def __call__(self, inputs, action):
-        seen, moved = nn.Dense(self.width)(inputs), nn.Dense(self.width, use_bias=False)(action)
+        seen, moved = networks.last_layer(self.width)(inputs), networks.last_layer(self.width, use_bias=False)(action)
         return seen + with_rank(moved, seen.ndim)
 
 
@@ -97,7 +97,9 @@ class Projection(nn.Module):
 
     @nn.compact
     def __call__(self, features):
-        return nn.LayerNorm()(nn.Dense(self.out)(nn.relu(nn.LayerNorm()(nn.Dense(self.width)(features)))))
+        return nn.LayerNorm()(
+            networks.last_layer(self.out)(nn.relu(nn.LayerNorm()(networks.last_layer(self.width)(features))))
+        )
 
 
 def contrast(score: jax.Array, predicted: jax.Array, followed: jax.Array) -> jax.Array:

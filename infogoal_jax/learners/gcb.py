@@ -65,7 +65,7 @@ class PairedEncoder(nn.Module):
     @nn.compact
     def __call__(self, features, goal_inputs):
         goal = networks.GoalLayers(self.hidden, self.out, self.standardise)(goal_inputs)
-        state = nn.Dense(self.out)(features)
+        state = networks.last_layer(self.out)(features)
         return networks.MLP(self.paired_hidden, self.out)(
             jnp.concatenate([state, jnp.broadcast_to(goal, state.shape)], axis=-1)
         )
@@ -78,8 +78,8 @@ class RewardDecoder(nn.Module):
 
     @nn.compact
     def __call__(self, codes, next_codes):
-        joined = nn.LayerNorm()(nn.Dense(self.hidden)(jnp.concatenate([codes, next_codes], axis=-1)))
-        return nn.Dense(1)(nn.relu(joined))[..., 0]
+        joined = nn.LayerNorm()(networks.last_layer(self.hidden)(jnp.concatenate([codes, next_codes], axis=-1)))
+        return networks.last_layer(1)(nn.relu(joined))[..., 0]
 
 
 def bisimulation_target(
