@@ -198,10 +198,18 @@ def corrupted_images(
     env, goals: jax.Array, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED
 ) -> jax.Array:
     """Images of the goals [M, *shape] under test backgrounds, uint8 [M, num_starts, H, W, C]: each start has a
-    background of its own."""
+    background of its own. Validation goals have training backgrounds, so that what is chosen by them has seen none of
+    the tests'."""
     images = jnp.repeat(env.goals.inputs_of(goals)[:, None], num_starts, axis=1)
-    backgrounds = draw_backgrounds(seed_key(seed, 2), env.test_backgrounds, (len(goals) * num_starts,))
-    return corrupt(images, backgrounds.reshape(images.shape), weight)
+
+    def drawn(bank):
+        return draw_backgrounds(seed_key(seed, 2), bank, (len(goals) * num_starts,)).reshape(images.shape)
+
+    backgrounds = drawn(env.test_backgrounds)
+    if env.goals.finite:
+        chosen_by = env.goals.validation_mask[goals][:, None, None, None, None]
+        backgrounds = jnp.where(chosen_by, drawn(env.train_backgrounds), backgrounds)
+    return corrupt(images, backgrounds, weight)
 
 
 def clean_view(setup: Setup, params: dict, goals: jax.Array) -> GoalView:
@@ -229,7 +237,7 @@ class Setting(NamedTuple):
     """One of the settings in which a policy is evaluated."""
 
     corrupted: bool
-    """Goal images under test backgrounds."""
+    """Goal images under backgrounds (`corrupted_images`)."""
     mean_code: bool
     """The mean of a goal's code instead of a sample at every step."""
 

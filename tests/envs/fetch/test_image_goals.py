@@ -26,6 +26,7 @@ from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.encoding import GoalEncoding, encode_all
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.runs.low_level import shipped
+from infogoal_jax.train.evaluation import corrupted_images
 from infogoal_jax.train.parts import Setup, training_view
 
 GRIDS = {}
@@ -174,6 +175,22 @@ def test_corruption_of_weight_0_is_the_image_and_of_weight_1_the_background(env)
     np.testing.assert_array_equal(corrupt(images, backgrounds, 1.0), backgrounds)
     half = np.asarray(corrupt(images, backgrounds, 0.5), float)
     np.testing.assert_allclose(half, (np.asarray(images, float) + np.asarray(backgrounds, float)) / 2, atol=0.5)
+
+
+def test_validation_goals_have_other_backgrounds_than_tests(env):
+    """So that what is chosen by them has seen none of the tests'."""
+    chosen_by = jnp.zeros(env.goals.num_goals, bool).at[-2:].set(True)
+    env = env.replace(goals=env.goals.replace(validation_mask=chosen_by, test_mask=env.goals.test_mask & ~chosen_by))
+    goals = env.goals.evaluated
+    shown = np.asarray(corrupted_images(env, goals, 2, 1.0))  # Backgrounds alone.
+    of_validation = np.asarray(chosen_by)[goals]
+    assert of_validation.sum() == 2 and len(goals) == 8
+    for bank, images in ((env.train_backgrounds, shown[of_validation]), (env.test_backgrounds, shown[~of_validation])):
+        known = {image.tobytes() for image in np.asarray(bank)}
+        assert all(image.tobytes() in known for image in images.reshape(-1, *images.shape[2:]))
+    assert not {image.tobytes() for image in np.asarray(env.train_backgrounds)} & {
+        image.tobytes() for image in np.asarray(env.test_backgrounds)
+    }
 
 
 PUSH = goal_images.shipped("fetch_push")
