@@ -34,11 +34,11 @@ import scipy.cluster.hierarchy
 import scipy.stats
 
 from infogoal_jax import use_compilation_cache
-from infogoal_jax.report.statistics import describe_machine, mean_interval
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.sweep import Callback, train_sweep
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_paper import batches, noise, trial_numbers
-from infogoal_paper.noise_numbers import METHODS
+from infogoal_paper.noise_numbers import METHODS, mean_by_set
 from infogoal_paper.table_formats import machines_in_words, markdown_lines
 from infogoal_paper.trial_numbers import Row
 
@@ -186,11 +186,14 @@ def tables(rows: list[Row]) -> dict[str, str]:
 
 
 def interval_of(rows: list[Row], column: str) -> str:
-    """The mean of a column with its 95 % interval over seeds; nothing where no seed has it."""
-    values = [float(row[column]) for row in rows if np.isfinite(float(row[column]))]
+    """The mean of a column with its 95 % interval over seeds or houses, whichever is wider; nothing where no seed has
+    it."""
+    values = {
+        (int(row["data_set"]), int(row["seed"])): float(row[column]) for row in rows if np.isfinite(float(row[column]))
+    }
     if not values:
         return ""
-    interval = mean_interval(np.array(values))
+    interval = mean_by_set(values)
     digits = 2 if column in ("agreement", "rank", "overlap") else 3
     return f"{interval.mean:.{digits}f}±{interval.half_width:.{digits}f}"
 
