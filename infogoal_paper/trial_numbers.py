@@ -58,6 +58,13 @@ PROBED = {
     for kind, words in {"test_goal": "test", "corrupted_test_goal": "corrupted test"}.items()
 }
 """Columns of the probe's table."""
+REACHED = {
+    "test_goal": "test success",
+    "corrupted_test_goal": "corrupted test success",
+    "near_test_goal": "near a training goal",
+    "far_test_goal": "far from all",
+}
+"""And of it, those of success."""
 
 Row = dict[str, str]
 
@@ -202,12 +209,10 @@ def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
         own = [row for row in rows if row["trial"] == trial and row.get("test_goal/readout_error")]
         for setting, shown, updates in last_of_settings(own):
             errors = [show(seed_means(shown, column), decimals) for column in PROBED]
-            success = [
-                show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in ("test_goal", "corrupted_test_goal")
-            ]
+            success = [show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in REACHED]
             lines.append([f"`{trial}`", setting, updates, unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
-    columns = ["trial", "setting", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
+    columns = ["trial", "setting", "updates", "errors in", *PROBED.values(), *REACHED.values()]
     return markdown_lines(columns, lines) + f"\n\n{machines_in_words(machines)}."
 
 

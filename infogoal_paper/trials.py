@@ -58,8 +58,8 @@ others have a table of their own."""
 OF_NORMALISED = ("cube_dqn", "shelf_goals")
 """Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
 which seeds learn is chance."""
-PROBED = "fetch_reach"
-"""The task of which the probe is shown: on the others no question rests on it."""
+PROBED = ("fetch_reach", "fetch_pick_and_place")
+"""The tasks of which the probe is shown: on the others no question rests on it."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -264,7 +264,7 @@ def tables(rows: list[Row]) -> dict[str, str]:
             ran = {row["trial"] for row in own}
             found[name] = trial_numbers.table(own, [trial for trial in trials if trial in ran], error)
     probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
-    units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
+    units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task in PROBED}
     if units:
         found["probe"] = trial_numbers.probe_table(rows, units)
     if done & trial_queue.WORLDS.keys():
