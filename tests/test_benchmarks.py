@@ -48,7 +48,7 @@ NEED = {
     "peers/fetch_peer_mujoco.py": "the files of gymnasium-robotics",
     "peers/fetch_sb3_her.py": "Stable-Baselines3",
     "peers/gridworld_peer_leo.py": "a checkout of purejaxgcrl; our side is trained below",
-    "peers/jaxgcrl_peer.py": "a checkout of JaxGCRL",
+    "peers/jaxgcrl_peer.py": "the package of JaxGCRL",
     "peers/ogbench_peer.py": "ogbench, and a checkout of it; tests/paper/test_ogbench.py runs our side",
     "peers/offline_peer.py": "PyTorch, and arrays that offline.py writes",
 }

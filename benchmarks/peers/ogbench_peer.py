@@ -590,7 +590,7 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         agent=job.agent,
         learner=job.learner,
         seeds=list(job.seeds),
-        data=words.about,
+        data=words.about or words.data.name,
         machine=describe_machine(),
         rate=rate,
         compiling=compiling,
@@ -680,7 +680,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--impls", type=Path)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--about", default="data of our own", help="what the data is, for the table")
+    parser.add_argument("--about", help="what the data is, for the table; left out: the name of its file")
     parser.add_argument("--agents", nargs="+", default=list(AGENTS), choices=list(AGENTS))
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
     parser.add_argument("--learners", nargs="+", default=["none"], choices=list(LEARNERS))
