@@ -15,6 +15,7 @@ from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig, traits
 from infogoal_jax.envs.recordings import from_recordings, recorded_in
 from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.field_types import Size, Within
+from infogoal_jax.files import expanded
 from infogoal_jax.registry import Entry
 
 FLAGS = "--env.goal 4 5 --env.achieved 0 1 --env.radius 0.1"
@@ -166,7 +167,7 @@ def make_ogbench(config: OGBenchConfig) -> GoalTask:
     require(
         bool(config.id or config.dataset), "env.id", config.id, "name a dataset of OGBench, or give --env.dataset FILE"
     )
-    file = config.dataset or os.path.expanduser(f"{DOWNLOADED}/{config.id}.npz")
+    file = config.dataset or str(expanded(f"{DOWNLOADED}/{config.id}.npz"))
     remedy = f"is not in {DOWNLOADED}: ogbench.download_datasets([NAME]) fetches it, or give --env.dataset FILE"
     require(bool(config.dataset) or os.path.exists(file), "env.id", config.id, remedy)
     try:
