@@ -56,7 +56,10 @@ LAYERS = (
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {
     "data": {"checks", "goals", "goal_uses", "errors", "stopping", "files"},
-    "envs": {"goals", "goal_uses", "errors", "field_types", "replay", "registry", "angles", "keys", "checks", "shapes"},
+    "envs": {
+        *("goals", "goal_uses", "errors", "field_types", "files"),
+        *("replay", "registry", "angles", "keys", "checks", "shapes"),
+    },
 }
 """What data and environments may know of the lowest layer."""
 
