@@ -657,24 +657,11 @@ CALLS = {
 
 
 SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry", "GoalBox.of"]
-SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
-SURE += [
-    "run",
-    "sweep",
-    "envs.from_brax",
-    "envs.from_gymnasium",
-    "envs.from_playground",
-    "of_arrays",
-    "of_arrays of transitions",
-]
-SURE += [
-    "with_recordings",
-    "envs.from_recordings",
-    "presets.method_named",
-    "presets.name_of",
-    "presets.default_hyperparameters",
-]
-SURE += ["step of a batch", "compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
+SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset", "run", "sweep"]
+SURE += ["envs.from_brax", "envs.from_gymnasium", "envs.from_playground", "of_arrays", "of_arrays of transitions"]
+SURE += ["with_recordings", "envs.from_recordings", "presets.method_named", "presets.name_of"]
+SURE += ["presets.default_hyperparameters", "step of a batch"]
+SURE += ["compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
 """Functions that work as they are called here."""
 
 
