@@ -20,7 +20,6 @@ import numpy as np
 
 from infogoal_jax.goal_uses import TEST
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_paper import measure
 from infogoal_paper.files import Result
 from infogoal_paper.image_goal_figures import WEIGHTS
 from infogoal_paper.manifest import FETCH, FIXED_BETAS, METHODS, PRESET, fixed
@@ -459,41 +458,19 @@ CORRUPTION = 1 + WEIGHTS.index(0.4)
 
 
 def closeness(view: int) -> Callable[[Result], dict[int, float]]:
-    """`measure.closeness` in a view of the goals by seed; of a run that was made before all seeds were looked at, that
-    of the one seed of its picture."""
+    """`measure.closeness` in a view of the goals by seed."""
 
     def find(result: Result) -> dict[int, float]:
-        if "codes/closeness" in result.arrays:
-            found = result.arrays["codes/closeness"]
-            return by_seed(result, found[:, view]) if view < found.shape[1] else {}
-        if "picture/code_mean" not in result.arrays or view >= len(result.arrays["picture/code_mean"]):
-            return {}
-        mean, region, use = (result.arrays[f"picture/code_{name}"] for name in ("mean", "region", "use"))
-        return {result.run.seeds[0]: measure.closeness(mean[view], region, use)}
+        found = result.arrays.get("codes/closeness")
+        return by_seed(result, found[:, view]) if found is not None and view < found.shape[1] else {}
 
     return find
 
 
 def reward_near(result: Result) -> dict[int, float]:
-    """`measure.reward_by_distance` by seed, mean over training goals; or that of the one seed of the run's picture."""
-    if "codes/reward" in result.arrays:
-        return by_seed(result, result.arrays["codes/reward"])
-    if "picture/reward" not in result.arrays:
-        return {}
-    place, goals = result.arrays["picture/place"], result.arrays["picture/reward_way_goal"]
-    rewards = result.arrays["picture/reward"].astype(float)
-    found = [measure.reward_by_distance(*each) for each in zip(rewards, [place] * len(goals), goals, strict=True)]
-    return {result.run.seeds[0]: float(np.mean(found))}
-
-
-def enough(tasks: dict[str, Paired]) -> dict[str, Paired]:
-    """The goal sets with enough seeds, where there are such; else all."""
-    kept = {
-        task: {place: seeds for place, seeds in sets.items() if len(seeds) >= LEAST_SEEDS}
-        for task, sets in tasks.items()
-    }
-    kept = {task: sets for task, sets in kept.items() if sets}
-    return kept or tasks
+    """`measure.reward_by_distance` by seed, mean over training goals."""
+    found = result.arrays.get("codes/reward")
+    return {} if found is None else by_seed(result, found)
 
 
 def grouped(view: int = 0) -> Callable[[Results], Finding]:
@@ -514,7 +491,6 @@ def grouped(view: int = 0) -> Callable[[Results], Finding]:
         without = left_out_words(left_out)
         if not tasks:
             return Finding(None, f"no runs that count{without}")
-        tasks = enough(tasks)
         return finding(tasks, f"silhouette by region, {by_task(tasks)}{without}", counted)
 
     return find
@@ -534,7 +510,6 @@ def reward_near_goal(results: Results) -> Finding:
     without = left_out_words(left_out)
     if not tasks:
         return Finding(None, f"no runs that count{without}")
-    tasks = enough(tasks)
     words = f"minus Spearman's correlation with the distance, {by_task(tasks)}{without}"
     return finding(tasks, words)
 

@@ -94,19 +94,6 @@ def test_codes_that_lie_together_by_chance_in_one_seed_decide_nothing(results):
     assert found.verdict == "cannot be told" and found.effect.value > 0.1
 
 
-def test_of_runs_from_before_all_seeds_were_looked_at_the_picture_is_one_seed(results):
-    without = {
-        run: dataclasses.replace(
-            result, arrays={name: value for name, value in result.arrays.items() if not name.startswith("codes/")}
-        )
-        for run, result in results.items()
-    }
-    for name in ("codes-grouped", "reward-near-goal"):
-        found = finding(without, name)
-        assert found.verdict == "cannot be told" and "1 seed on 1 goal set" in found.words
-        assert "[" not in found.shown and found.effect is not None
-
-
 def test_goals_of_a_region_lie_together():
     draw = np.random.default_rng(0)
     region, use = np.arange(40) % 4, np.repeat([0, 2], 20)
