@@ -56,13 +56,8 @@ def compact(result: Result) -> Result:
 
 def of_folder(folder: Path) -> Results:
     """The finished runs in the folder of a reproduction, compact. Raises `UserError` for a damaged file."""
-    found = (compact(files.read(path)) for path in sorted(folder.rglob("*.npz")) if not is_study(path))
+    found = (compact(files.read(path)) for path in sorted(folder.rglob("*.npz")) if path.stem not in STUDIES)
     return of_one_size({result.run: result for result in found}, "out", str(folder))
-
-
-def is_study(path: Path) -> bool:
-    """Whether a file holds compact numbers of a study."""
-    return path.stem in STUDIES
 
 
 def has_numbers(folder: Path) -> bool:

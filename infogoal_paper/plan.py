@@ -222,11 +222,6 @@ JUDGED = ("infogoal", "none")
 NO_TIME = "no time was left to measure it"
 
 
-def has_share(run: Run) -> bool:
-    """Whether the share of the method's own loss in the gradient of the goal encoder is to be measured."""
-    return run.method in WITH_LOSS
-
-
 def is_pictured(run: Run) -> bool:
     """Whether a figure shows codes or trajectories of this run."""
     shown = run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
@@ -243,7 +238,7 @@ def missing(run: Run, share: float | None, arrays: Iterable[str]) -> list[str]:
     """What is to be measured of a run and was not: share, codes, pictures. share: None where it was not measured;
     arrays: names of those that there are."""
     lacking = {
-        "share": has_share(run) and share is None,
+        "share": run.method in WITH_LOSS and share is None,
         "codes": is_judged(run) and "codes/closeness" not in arrays,
         "pictures": is_pictured(run) and "picture/code_mean" not in arrays,
     }

@@ -57,11 +57,6 @@ class InfoBotState:
     """int32 [], updates so far."""
 
 
-def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Array:
-    """Add visits to the counts [num_cells]: cell int32 [R, T], counted where valid, bool [R, T]."""
-    return counts.at[cell].add(valid.astype(counts.dtype))
-
-
 def make(config: InfoBotConfig) -> Learner:
     kind = networks.GoalLayers if config.state_conditioned else networks.GaussianEncoder
     encoder = kind(config.hidden, config.latent_size, config.standardise_images)
@@ -122,7 +117,7 @@ def make(config: InfoBotConfig) -> Learner:
         return kl[:, None] / jnp.maximum(state.scale, 1e-6) * rarity, state
 
     def observe(state, new: NewSteps):
-        return state.replace(counts=count_visits(state.counts, new.cell, new.valid))
+        return state.replace(counts=state.counts.at[new.cell].add(new.valid.astype(state.counts.dtype)))
 
     return Learner(
         init,

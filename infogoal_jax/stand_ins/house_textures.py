@@ -110,10 +110,6 @@ def _furniture_front(rng: np.random.Generator, name: str) -> np.ndarray:
     return np.clip(picture, 0, 255).astype(np.uint8)
 
 
-def _furniture_top(rng: np.random.Generator, name: str) -> np.ndarray:
-    return _plain(rng.uniform(90, 220), rng)
-
-
 def _picture(rng: np.random.Generator, name: str) -> np.ndarray:
     """A framed abstract painting: a few discs and bars."""
     picture = np.ascontiguousarray(_plain(rng.uniform(40, 220), rng))
@@ -148,16 +144,14 @@ def _label(rng: np.random.Generator, name: str) -> np.ndarray:
     return picture
 
 
-def _screen(rng: np.random.Generator, name: str) -> np.ndarray:
-    return _two_tone((ROW > 8) & (ROW < 116) & (COLUMN > 6) & (COLUMN < 120), np.full(3, 70.0), np.full(3, 20.0))
-
-
 PAINTERS = {
     "front": _furniture_front,
-    "top": _furniture_top,
+    "top": lambda rng, name: _plain(rng.uniform(90, 220), rng),
     "picture": _picture,
     "window": _window,
     "object": _label,
-    "screen": _screen,
+    "screen": lambda rng, name: _two_tone(
+        (ROW > 8) & (ROW < 116) & (COLUMN > 6) & (COLUMN < 120), np.full(3, 70.0), np.full(3, 20.0)
+    ),
     "plain": lambda rng, name: _plain(float(name), rng),
 }
