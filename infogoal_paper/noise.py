@@ -16,7 +16,6 @@ and data sets; `pages.py noise` then writes the tables of docs/research/noise_at
 
 import argparse
 import contextlib
-import csv
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
@@ -36,6 +35,7 @@ from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runner.sweep import Callback, Sweep, train_sweep
 from infogoal_jax.runs.folder import BeingWrittenError, locked
+from infogoal_jax.runs.tables import csv_text
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
 from infogoal_paper.batches import over_environments, stacked
@@ -136,10 +136,7 @@ class Watch(Callback):
         print(f"{self.name}: chunk {sweep.evaluations} in {sweep.last_seconds:.0f} s", flush=True)
         if sweep.finished:
             self.rows += rows_of(self, sweep.evaluations * sweep.config.epochs_per_evaluation)
-            with open(self.partial, "w", newline="") as file:
-                table = csv.DictWriter(file, self.rows[0])
-                table.writeheader()
-                table.writerows(self.rows)
+            self.partial.write_text(csv_text(self.rows), newline="")
 
     def columns(self) -> dict[str, np.ndarray]:
         """What tells whether a seed's code collapsed, by column, [*members]; nothing for learners that do not steer

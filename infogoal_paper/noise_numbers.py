@@ -314,12 +314,10 @@ def merge(folder: Path) -> list[str]:
     """Put the files of FOLDER into the numbers, in place of what they hold of the same tasks, methods and data sets.
     Returns the names of those that came in."""
     new = {found.stem: trial_numbers.read(found) for found in sorted(folder.glob("*.csv"))}
-    came = {run_key(row) for rows in new.values() for row in rows}
-    kept = [row for row in read() if run_key(row) not in came]
     pairs = [(task, method) for task in DATA_SETS for method in methods_of(task)]
     places = {pair: place for place, pair in enumerate(pairs)}
-    rows = [*kept, *itertools.chain.from_iterable(new.values())]
-    trial_numbers.write(sorted(rows, key=lambda row: places[row["task"], row["method"]]), NUMBERS)
+    rows = itertools.chain.from_iterable(new.values())
+    trial_numbers.put(rows, NUMBERS, run_key, lambda row: places[row["task"], row["method"]])
     return list(new)
 
 
@@ -330,7 +328,7 @@ def run_key(row: Row) -> tuple[str, str, int]:
 
 def read() -> list[Row]:
     """The rows; none where nothing was run yet."""
-    return trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
+    return trial_numbers.kept(NUMBERS)
 
 
 def is_development(task: str, data_set: int) -> bool:

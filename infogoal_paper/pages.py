@@ -319,7 +319,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: {"calibration": trials.calibration_table(trial_numbers.read(trials.NUMBERS))},
     "noise": lambda: noise_numbers.tables(noise_numbers.read()),
-    "sufficiency": lambda: sufficiency.tables(sufficiency.read()),
+    "sufficiency": lambda: sufficiency.tables(trial_numbers.kept(sufficiency.NUMBERS)),
     "choices": choices.tables,
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),

@@ -16,6 +16,7 @@ import argparse
 import json
 import re
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -63,18 +64,11 @@ def rows_of_run(folder: Path) -> list[Row]:
     ]
 
 
-def read() -> list[Row]:
-    """The rows so far."""
-    return trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
-
-
 def take(runs: list[Path]) -> None:
     """Put the evaluations of these runs into the numbers."""
     new = [row for run in runs for row in rows_of_run(run)]
-    replaced = {tuple(row[name] for name in KEY) for row in new}
-    rows = [row for row in read() if tuple(row[name] for name in KEY) not in replaced] + new
-    rows.sort(key=lambda row: (*(row[name] for name in KEY), int(row["seed"]), int(row["epoch"])))
-    trial_numbers.write(rows, NUMBERS)
+    key = itemgetter(*KEY)
+    trial_numbers.put(new, NUMBERS, key, lambda row: (*key(row), int(row["seed"]), int(row["epoch"])))
 
 
 def take_transfers(files: list[Path]) -> None:
@@ -89,14 +83,8 @@ def take_transfers(files: list[Path]) -> None:
 def take_peers(files: list[Path]) -> None:
     """Put the evaluations of Stable-Baselines3 into the numbers."""
     new = [row for file in files for row in trial_numbers.read(file)]
-    replaced = {(row["task"], row["seed"]) for row in new}
-    rows = [row for row in read_peers() if (row["task"], row["seed"]) not in replaced] + new
-    trial_numbers.write(sorted(rows, key=lambda row: (row["task"], int(row["seed"]), int(row["env_steps"]))), PEERS)
-
-
-def read_peers() -> list[Row]:
-    """The rows so far."""
-    return trial_numbers.read(PEERS) if PEERS.exists() else []
+    key = itemgetter("task", "seed")
+    trial_numbers.put(new, PEERS, key, lambda row: (row["task"], int(row["seed"]), int(row["env_steps"])))
 
 
 def read_transfers() -> list[dict[str, Any]]:
@@ -152,7 +140,8 @@ def peer(rows: list[Row], ours: list[Row]) -> list[str]:
 def tables() -> dict[str, str]:
     """The tables on the page, by name, of SAC alone; none without numbers."""
     order = list(TITLES)
-    rows = sorted(read(), key=lambda row: (order.index(row["task"]), row["agent"] != "sac", row["learner"] != "none"))
+    rows = trial_numbers.kept(NUMBERS)
+    rows.sort(key=lambda row: (order.index(row["task"]), row["agent"] != "sac", row["learner"] != "none"))
     shown = (row for row in rows if row["agent"] == "sac")
     lines = [solved(list(own)) for _, own in groupby(shown, key=lambda row: tuple(row[name] for name in KEY))]
     head = ["task", "agent", "success at the end", "million steps in all", f"until {ENOUGH}"]
@@ -166,7 +155,7 @@ def tables() -> dict[str, str]:
                 for _, own in groupby(transfers, key=lambda row: (row["task"], row["faithful"], row["episodes"]))
             ],
         )
-    if peers := sorted(read_peers(), key=lambda row: order.index(f"{row['task']}_positions")):
+    if peers := sorted(trial_numbers.kept(PEERS), key=lambda row: order.index(f"{row['task']}_positions")):
         alone = [row for row in rows if (row["learner"], row["agent"]) == ("none", "sac")]
         head = ["task", "seeds", "steps/s", f"seconds to {ENOUGH}", "success at the end"]
         found["peer"] = markdown_lines(

@@ -23,8 +23,8 @@ docs/research/sufficiency.md. Columns:
 """
 
 import argparse
-import csv
 import itertools
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ import scipy.stats
 from infogoal_jax import use_compilation_cache
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.sweep import Callback, train_sweep
+from infogoal_jax.runs.tables import csv_text
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_paper import batches, noise, trial_numbers
 from infogoal_paper.noise_numbers import METHODS, mean_by_set
@@ -155,10 +156,7 @@ def run(method: str, path: Path, toy: bool) -> None:
             train_sweep(training.sweep, Quiet(), stop)
             stop.check()
         rows += rows_of(training, method)
-    with open(path, "w", newline="") as file:
-        table = csv.DictWriter(file, rows[0])
-        table.writeheader()
-        table.writerows(rows)
+    path.write_text(csv_text(rows), newline="")
     print(f"{method}: written", flush=True)
 
 
@@ -198,17 +196,11 @@ def interval_of(rows: list[Row], column: str) -> str:
     return f"{interval.mean:.{digits}f}±{interval.half_width:.{digits}f}"
 
 
-def read() -> list[Row]:
-    """The rows; none where nothing was run yet."""
-    return trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
-
-
 def merge(folder: Path) -> list[str]:
     """Put the files of FOLDER into the numbers, in place of what they hold of the same methods."""
     new = {path.stem: trial_numbers.read(path) for path in sorted(folder.glob("sufficiency_*.csv"))}
-    came = {row["method"] for rows in new.values() for row in rows}
-    rows = [row for row in read() if row["method"] not in came] + list(itertools.chain.from_iterable(new.values()))
-    trial_numbers.write(sorted(rows, key=lambda row: SHOWN.index(row["method"])), NUMBERS)
+    rows = itertools.chain.from_iterable(new.values())
+    trial_numbers.put(rows, NUMBERS, itemgetter("method"), lambda row: SHOWN.index(row["method"]))
     return list(new)
 
 

@@ -24,9 +24,12 @@ Both for clean images, and for images under test backgrounds: `corrupted_...`.
 
 import csv
 import io
+import itertools
 import lzma
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -101,18 +104,26 @@ def write(rows: list[Row], path: Path) -> None:
     write_compressed(path, text.getvalue())
 
 
+def kept(path: Path) -> list[Row]:
+    """The rows of a file; none where it is not there yet."""
+    return read(path) if path.exists() else []
+
+
+def put(new: Iterable[Row], path: Path, key: Callable[[Row], Any], order: Callable[[Row], Any]) -> None:
+    """Put these rows into a file, in place of those that it holds of the same `key`, sorted by `order`."""
+    new = list(new)
+    came = {key(row) for row in new}
+    write(sorted([row for row in kept(path) if key(row) not in came] + new, key=order), path)
+
+
 def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
     """Put the trials of FOLDER/*.csv into the file, in place of what it holds of them. order: of all trials. Returns
     those that came in."""
     new = {found.stem: read(found) for found in sorted(folder.glob("*.csv"))}
     places = {trial: place for place, trial in enumerate(order)}
-    kept = [row for row in (read(path) if path.exists() else []) if row["trial"] not in new]
-    rows = sorted(
-        [*kept, *(row for found in new.values() for row in found)],
-        key=lambda row: places.get(row["trial"], len(places)),
-    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    write(rows, path)
+    rows = itertools.chain.from_iterable(new.values())
+    put(rows, path, itemgetter("trial"), lambda row: places.get(row["trial"], len(places)))
     return list(new)
 
 

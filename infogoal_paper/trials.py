@@ -315,7 +315,7 @@ def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> 
 
 def list_queue() -> None:
     """Print the queue, and how far each trial has come in the numbers that are kept."""
-    ran = trial_numbers.settings_of(trial_numbers.read(NUMBERS)) if NUMBERS.exists() else {}
+    ran = trial_numbers.settings_of(trial_numbers.kept(NUMBERS))
     for name, trial in QUEUE.items():
         config = preset_of(trial)
         updates = config.num_epochs * config.updates_per_epoch
