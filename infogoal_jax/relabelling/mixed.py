@@ -9,7 +9,6 @@ known keep their goal.
 
 import dataclasses
 
-import flax.struct
 import jax
 import jax.numpy as jnp
 
@@ -17,8 +16,8 @@ from infogoal_jax import pairs
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Count, Share
 from infogoal_jax.goals import is_goal, select
-from infogoal_jax.relabelling.her import any_known, draw_rank, future_goal, future_place
-from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints, check_room
+from infogoal_jax.relabelling.her import Soon, any_known, draw_rank, future_goal, future_place
+from infogoal_jax.relabelling.relabelling import Context, Relabelling, Waypoints, check_room
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,20 +46,6 @@ class MixedConfig:
         require(steps == 1, "agent.num_steps", steps, "relabelling mixed counts the cost of one step; give 1")
 
 
-@flax.struct.dataclass
-class Table:
-    """What goals are drawn from in an epoch."""
-
-    achievements: Achievements
-    """What was achieved where."""
-    discount: jax.Array
-    """float32 [], discount of one step."""
-
-    def later(self, geometric: bool):
-        """What chooses a later step, see `her.future_goal`."""
-        return until_the_end(self.discount) if geometric else draw_rank
-
-
 def until_the_end(discount: jax.Array):
     """A rank as `her.draw_rank`, by a geometric distribution whose tail counts as the last rank."""
 
@@ -72,18 +57,23 @@ def until_the_end(discount: jax.Array):
     return draw
 
 
+def later(table: Soon, geometric: bool):
+    """What chooses a later step, see `her.future_goal`."""
+    return until_the_end(table.discount) if geometric else draw_rank
+
+
 def make(config: MixedConfig) -> Relabelling:
     """The mixture of this configuration."""
 
     def mixture(key, table, row, step, desired_goal, current: float, future: float, geometric: bool):
         keys = jax.random.split(key, 4)
         achieved = table.achievements
-        later = future_goal(keys[0], achieved, row, step, table.later(geometric))
+        ahead = future_goal(keys[0], achieved, row, step, later(table, geometric))
         now = pairs.choose_goal(keys[1], achieved.goals[row, step])
         drawn = jax.random.uniform(keys[3], row.shape, jnp.float32)
         anything = any_known(keys[2], achieved.known, desired_goal)
-        found = select((drawn < current + future) & is_goal(later), later, anything)
-        found = select((drawn < current + future) & ~is_goal(later), desired_goal, found)
+        found = select((drawn < current + future) & is_goal(ahead), ahead, anything)
+        found = select((drawn < current + future) & ~is_goal(ahead), desired_goal, found)
         return select((drawn < current) & is_goal(now), now, found)
 
     def relabel(key, table, row, step, desired_goal):
@@ -95,7 +85,7 @@ def make(config: MixedConfig) -> Relabelling:
 
     def actor_goal_with_waypoints(key, table, row, step, desired_goal):
         keys, achieved = jax.random.split(key, 6), table.achievements
-        place, found = future_place(keys[0], achieved, row, step, table.later(config.actor_geometric))
+        place, found = future_place(keys[0], achieved, row, step, later(table, config.actor_geometric))
         from_episode = found & (jax.random.uniform(keys[1], row.shape, jnp.float32) < config.actor_future_share)
         end, ahead = step + achieved.steps_left[row, step], step + config.subgoal_steps
         of_goal = jnp.where(from_episode, place - row * achieved.goals.shape[1], end)
@@ -109,7 +99,7 @@ def make(config: MixedConfig) -> Relabelling:
         of_actor = select(from_episode, achieved_at(keys[3], of_goal), anything)
         return of_actor, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
 
-    def prepare(context: Context) -> Table:
-        return Table(context.achievements, context.discount)
+    def prepare(context: Context) -> Soon:
+        return Soon(context.achievements, context.discount)
 
     return Relabelling(prepare, relabel, costs=actor_goal_with_waypoints if config.subgoal_steps else actor_goal)
