@@ -138,7 +138,7 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported,
             ask_to_take_off(envelope, drone.battery_floor)
 
     shelf_seed = exported.about["generator_seed"] if exported is not None else 0
-    settings = Settings(**{name: value for name, value in vars(drone).items() if name != "yes"}, shelf_seed=shelf_seed)
+    settings = Settings(**vars(drone), shelf_seed=shelf_seed)
     outcome = run_mission(folder, flown, target, settings, record, origin, confirm)
     print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {typed(folder)}` draws it")

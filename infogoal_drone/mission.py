@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from infogoal_drone.cli import DroneFlags
 from infogoal_drone.envelope import MOVES, Envelope, Limits
 from infogoal_drone.flight import Flight, Outcome, Policy
 from infogoal_drone.link import Address, Link, check_ports, import_djitellopy
@@ -44,24 +45,9 @@ class Flown(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
-    """A flight's settings, as the flags of the commands have them (infogoal_jax/cli/fly.py)."""
+class Settings(DroneFlags):
+    """A flight's settings: the flags of the commands, and the shelf."""
 
-    simulate: bool
-    simulated: tuple[int, int] | None
-    start: tuple[int, int]
-    speed: float
-    seed: int
-    host: str
-    ports: tuple[int, int, int]
-    left: int | None
-    right: int | None
-    up: int | None
-    down: int | None
-    steps: int
-    battery_floor: int
-    weights: str
-    confidence: float
     shelf_seed: int = 0
     """Seed of the generated shelf that the simulated drone sees."""
 
