@@ -109,20 +109,6 @@ def test_what_is_saved_is_loaded(tmp_path):
     assert [file.name for file in path.parent.iterdir()] == ["embeddings"]
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "embeddings.npz"
-    text.save(path, made_up_embeddings("old"))
-
-    def disk_full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(text.os, "fsync", disk_full)
-    with pytest.raises(UserError, match="No space left"):
-        text.save(path, made_up_embeddings("old", "new"))
-    assert text.load(path).texts == ("old",)
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_embeddings_have_one_writer_at_a_time(tmp_path):
     """Each reads the file and writes it with more texts: the second would undo what the first added."""
     path = tmp_path / "embeddings.npz"

@@ -1,9 +1,6 @@
 """Fetch with image goals: what counts as reached and as achieved, corrupted training goals, and mistakes named before
 anything is compiled."""
 
-import os
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import hand_made
@@ -235,24 +232,6 @@ def test_a_mistake_is_named_before_anything_is_compiled(arguments, expected, tmp
     printed = capsys.readouterr().err
     assert printed.startswith("infogoal: ") and all(words in printed for words in expected), printed
     assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.long
-def test_a_mistake_ends_a_process_with_status_2_and_no_traceback(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "infogoal_jax",
-        "train",
-        "fetch_reach",
-        "--agent.low-level",
-        str(shipped("fetch_push")),
-    ]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)}, cwd=tmp_path
-    )
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "'fetch_push', not 'fetch_reach'" in done.stderr
 
 
 def test_an_agent_and_an_environment_that_do_not_fit_are_refused(env):
