@@ -87,12 +87,7 @@ def largest_band_difference(one: np.ndarray, other: np.ndarray) -> float:
 def has_lost_band(image: np.ndarray) -> bool:
     """Whether a band of rows shows one grey from left to right, as decoders fill what they did not get."""
     rows = image.reshape(len(image), -1, image.shape[-1]).std(1).mean(-1) < BAND_FLAT
-    run = 0
-    for flat in rows:
-        run = run + 1 if flat else 0
-        if run >= BAND:
-            return True
-    return False
+    return bool(np.convolve(rows, np.ones(BAND), "valid").max() == BAND)
 
 
 def fault_of(

@@ -12,6 +12,7 @@ import importlib.util
 import shutil
 import sys
 import tempfile
+import traceback
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,20 +70,12 @@ def import_file(file: str | Path) -> None:
         exec(compile(content, str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:  # A script that ends its process would end the command, without a word.
         del sys.modules[name]
-        lines = [at for at in traceback_lines(error) if at[0] == str(path)]
-        line = lines[-1][1] if lines else getattr(error, "lineno", None)
+        frames = traceback.walk_tb(error.__traceback__)
+        lines = [line for frame, line in frames if frame.f_code.co_filename == str(path)]
+        line = lines[-1] if lines else getattr(error, "lineno", None)
         where = f", line {line}" if line else ""
         raise UserError(f"{given}{where}: {reason(error)}; mend the file") from error
     imported[path.name] = Imported(path, content, checksum)
-
-
-def traceback_lines(error: BaseException) -> list[tuple[str, int]]:
-    """File and line of each call that led to an error."""
-    found, at = [], error.__traceback__
-    while at is not None:
-        found.append((at.tb_frame.f_code.co_filename, at.tb_lineno))
-        at = at.tb_next
-    return found
 
 
 @functools.cache

@@ -55,6 +55,7 @@ from infogoal_paper import (
     noise_numbers,
     numbers,
     ogbench,
+    paper,
     positions,
     scores,
     sufficiency,
@@ -75,14 +76,7 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 
 FEW = {"infogoal": "InfoGoal", "infogoal+her": "InfoGoal with HER", "her": "HER alone", "none": "bare agent"}
 """Rows of the README's first table."""
-TASKS = {
-    "object_search": "object search",
-    "object_manipulation": "cube",
-    "fetch_reach": "FetchReach",
-    "fetch_push": "FetchPush",
-    "fetch_pick_and_place": "FetchPickAndPlace",
-    "embodied_qa": "questions",
-}
+TASKS = {task: noise_numbers.TITLES[task] for task in paper.TASKS}
 """Tasks in words."""
 UNSEEN = {"none": "bare agent", "her": "HER", "all_goals": "all-goals head", "infogoal+all_goals": "InfoGoal + head"}
 """Rows of its second table."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from infogoal_jax.stand_ins.cube_shapes import (
     CUBE_EDGE,
+    CUBE_QUADS,
     PEDESTAL_HEIGHT,
     Part,
     arm,
     cube_numbers,
-    cube_quads,
     face_normals,
     scramble,
 )
@@ -171,7 +171,7 @@ def draw(scene: Scene, posture: Posture, cube: np.ndarray, light: Light) -> np.n
     polygons = [
         (face, list(zip(pixels, cube_numbers(scene.stickers, face), strict=True)))
         for face, pixels in enumerate(
-            _fixed_point(scene.project(CUBE_EDGE * cube_quads() @ cube[:3, :3].T + cube[:3, 3]))
+            _fixed_point(scene.project(CUBE_EDGE * CUBE_QUADS @ cube[:3, :3].T + cube[:3, 3]))
         )
     ]
     distance = turned @ (cube[:3, 3] - scene.eye) + CUBE_EDGE / 2
@@ -192,7 +192,7 @@ def draw_inset(scene: Scene, rotation: np.ndarray, side: int) -> np.ndarray:
     """
     inset = np.full((side, side), BACKDROP, np.uint16)
     turned = face_normals() @ (scene.axes @ rotation).T
-    pixels = _fixed_point(inset_pixels(scene, cube_quads(), rotation, side))
+    pixels = _fixed_point(inset_pixels(scene, CUBE_QUADS, rotation, side))
     # A face is seen if the eye, at minus INSET_DISTANCE along the view, is before its plane.
     for face in np.flatnonzero(turned @ [0, 0, -INSET_DISTANCE] > 0.5):
         for quad, number in zip(pixels[face], cube_numbers(scene.stickers, face), strict=True):

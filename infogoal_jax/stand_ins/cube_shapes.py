@@ -92,12 +92,6 @@ def face_normals() -> np.ndarray:
     return np.kron(np.eye(3), [[1], [-1]])
 
 
-def cube_quads() -> np.ndarray:
-    """Corners of each face's plastic and of its nine stickers (row by row), in edges from the cube's middle: [6, 10, 4,
-    3]."""
-    return _QUADS
-
-
 def scramble(random: np.random.Generator) -> np.ndarray:
     """Colours int [6, 3, 3] of a solvable, scrambled cube of which no two faces, turned in any way, agree in more than
     five of nine stickers.
@@ -159,7 +153,9 @@ def _face_quads(face: int) -> np.ndarray:
     )
 
 
-_QUADS = np.array([_face_quads(face) for face in range(6)])
+CUBE_QUADS = np.array([_face_quads(face) for face in range(6)])
+"""Corners of each face's plastic and of its nine stickers (row by row), in edges from the cube's middle: [6, 10, 4,
+3]."""
 
 
 def cube_numbers(stickers: np.ndarray, face: int) -> list[int]:

@@ -6,6 +6,7 @@ foot. Objects are larger than in life, so that one is told from another in a pic
 
 import cv2
 import numpy as np
+from PIL import ImageColor
 
 SUPERSAMPLING = 3  # Objects are drawn this much larger and reduced, which gives them soft edges.
 
@@ -155,7 +156,7 @@ def draw(width: float, height: float, shapes: tuple, pixels_per_metre: float) ->
     rows, columns = (round(pixels_per_metre / 100 * side) * SUPERSAMPLING for side in (height, width))
     colours, opacity = np.zeros((rows, columns, 3), np.uint8), np.zeros((rows, columns), np.uint8)
     for kind, colour, *numbers in shapes:
-        value = (0, 0, 0) if colour == "clear" else _rgb(colour)
+        value = (0, 0, 0) if colour == "clear" else ImageColor.getrgb(colour)
         for layer, its_value in ((colours, value), (opacity, 0 if colour == "clear" else 255)):
             _draw_shape(layer, kind, its_value, numbers, scale)
     # Light comes from the upper left: the left third is brightest, the right end darkest.
@@ -188,8 +189,3 @@ def _draw_shape(layer: np.ndarray, kind: str, value, numbers: list, scale: float
         size = width * scale / unit_width
         corner = pixels((x, y))[0] + np.round(np.array((-unit_width, unit_height)) * size / 2).astype(int)
         cv2.putText(layer, letters, corner.tolist(), cv2.FONT_HERSHEY_DUPLEX, size, value, max(1, round(2.4 * size)))
-
-
-def _rgb(colour: str) -> tuple[int, int, int]:
-    digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
-    return tuple(int(digits[at : at + 2], 16) for at in (0, 2, 4))
