@@ -212,7 +212,7 @@ class Camera:
 
     def view(self, position: np.ndarray, roll: float) -> np.ndarray:
         """The map [2, 3] from the wall to the image, for a camera at this place (m [2])."""
-        return shelf.camera(position, roll, shelf.SIZE)
+        return shelf.camera(position, roll)
 
     def see(self, position: np.ndarray, roll: float, moving: bool) -> np.ndarray:
         """What it sees, uint8 RGB [720, 960, 3]. moving: the propellers turn, and images are blurred."""
@@ -224,7 +224,7 @@ class Camera:
         view, found = self.view(position, roll), {}
         for name, box in zip(self.places, shelf.boxes(self.places), strict=True):
             if shelf.in_view(view, box):
-                corners = shelf.pixel_of(box, shelf.SIZE) @ view[:, :2].T + view[:, 2]
+                corners = shelf.pixel_of(box) @ view[:, :2].T + view[:, 2]
                 found[name] = [float(value) for value in (*corners.min(0), *corners.max(0))]
         return found
 

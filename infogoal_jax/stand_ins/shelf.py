@@ -78,7 +78,7 @@ def build(
             if hovering
             else (0.0, 0.0, None)
         )
-        view = camera(place + drift, roll, SIZE)
+        view = camera(place + drift, roll)
         frames.append(see(wall, view, size, blur))
         detected.append([in_view(view, box) for box in boxes(places)])
         if progress is not None:
@@ -113,7 +113,7 @@ def furnished_wall(random: np.random.Generator, gathered: bool = False) -> tuple
     """The picture of the wall with its shelf and objects, uint8 RGB [H, W, 3], and where each object stands."""
     places = furnish(random, gathered)
     uprights = np.concatenate([[0.0], np.sort(random.uniform(1.0, SIZE[0] - 1.0, 6)), [SIZE[0]]])
-    return draw_wall(SIZE, list(BOARDS), uprights, places, random), places
+    return draw_wall(uprights, places, random), places
 
 
 def furnish(random: np.random.Generator, gathered: bool = False) -> dict[str, np.ndarray]:
@@ -147,7 +147,7 @@ def boxes(places: dict[str, np.ndarray]) -> list[np.ndarray]:
 
 def in_view(view: np.ndarray, box: np.ndarray) -> bool:
     """Whether all corners of a box [4, 2] (m) lie in the image of this camera."""
-    corners = pixel_of(box, SIZE) @ view[:, :2].T + view[:, 2]
+    corners = pixel_of(box) @ view[:, :2].T + view[:, 2]
     return bool(((corners >= 0) & (corners <= STREAM[::-1])).all())
 
 
@@ -207,28 +207,19 @@ def as_frames(flights: list[np.ndarray], images: np.ndarray, random: np.random.G
     return moved | {"terminal": moved["terminal"].astype(bool)}
 
 
-def draw_wall(
-    size: np.ndarray,
-    boards: list[float],
-    uprights: np.ndarray,
-    places: dict[str, np.ndarray],
-    random: np.random.Generator,
-) -> np.ndarray:
-    """The whole wall with its shelf and objects, uint8 RGB [H, W, 3]; row 0 is the top.
-
-    size: width and height of the shelf, m; boards: heights of their upper sides; uprights: x of each; places: left end
-    and foot of each object.
-    """
-    width, height = np.round((size + 2 * MARGIN) * PIXELS_PER_METRE).astype(int)
+def draw_wall(uprights: np.ndarray, places: dict[str, np.ndarray], random: np.random.Generator) -> np.ndarray:
+    """The whole wall with its shelf and objects, uint8 RGB [H, W, 3]; row 0 is the top. uprights: x of each, m; places:
+    left end and foot of each object."""
+    width, height = np.round((SIZE + 2 * MARGIN) * PIXELS_PER_METRE).astype(int)
     wall = wallpaper(height, width, random)
     wood = random.uniform(70, 190) * np.array([1.0, random.uniform(0.65, 0.85), random.uniform(0.4, 0.65)])
     for x in uprights:
-        fill(wall, (x - BOARD / 2, 0.0), (x + BOARD / 2, size[1]), size, wood * random.uniform(0.75, 1.1))
-    for board in boards:
-        fill(wall, (0.0, board - BOARD), (size[0], board), size, wood)
-        fill(wall, (0.0, board - BOARD - 0.012), (size[0], board - BOARD), size, wood * 0.45)  # The board's shadow.
+        fill(wall, (x - BOARD / 2, 0.0), (x + BOARD / 2, SIZE[1]), wood * random.uniform(0.75, 1.1))
+    for board in BOARDS:
+        fill(wall, (0.0, board - BOARD), (SIZE[0], board), wood)
+        fill(wall, (0.0, board - BOARD - 0.012), (SIZE[0], board - BOARD), wood * 0.45)  # The board's shadow.
     for name, place in places.items():
-        paste(wall, draw(*DRAWINGS[name], PIXELS_PER_METRE), place, size)
+        paste(wall, draw(*DRAWINGS[name], PIXELS_PER_METRE), place)
     return wall
 
 
@@ -250,29 +241,29 @@ def wallpaper(height: int, width: int, random: np.random.Generator) -> np.ndarra
     return wall
 
 
-def pixel_of(point, size: np.ndarray) -> np.ndarray:
+def pixel_of(point) -> np.ndarray:
     """The pixel (column, row) of points [..., 2] on the shelf, m from its lower left corner; not rounded."""
     point = np.asarray(point, float)
-    return np.stack([point[..., 0] + MARGIN, size[1] + MARGIN - point[..., 1]], axis=-1) * PIXELS_PER_METRE
+    return np.stack([point[..., 0] + MARGIN, SIZE[1] + MARGIN - point[..., 1]], axis=-1) * PIXELS_PER_METRE
 
 
-def fill(wall: np.ndarray, low, high, size: np.ndarray, colour: np.ndarray) -> None:
+def fill(wall: np.ndarray, low, high, colour: np.ndarray) -> None:
     """Paint the rectangle between two corners (m)."""
-    (left, bottom), (right, top) = np.round(pixel_of([low, high], size)).astype(int)
+    (left, bottom), (right, top) = np.round(pixel_of([low, high])).astype(int)
     wall[top:bottom, left:right] = np.clip(colour, 0, 255)
 
 
-def paste(wall: np.ndarray, picture: np.ndarray, place: np.ndarray, size: np.ndarray) -> None:
+def paste(wall: np.ndarray, picture: np.ndarray, place: np.ndarray) -> None:
     """Lay a picture [h, w, 4] (RGB times opacity, and opacity) on the wall, its lower left corner at `place` (m)."""
-    left, bottom = np.round(pixel_of(place, size)).astype(int)
+    left, bottom = np.round(pixel_of(place)).astype(int)
     region = wall[bottom - picture.shape[0] : bottom, left : left + picture.shape[1]]
     region[:] = np.clip(picture[..., :3] + region * (1 - picture[..., 3:] / 255.0), 0, 255).astype(np.uint8)
 
 
-def camera(centre: np.ndarray, roll: float, size: np.ndarray) -> np.ndarray:
+def camera(centre: np.ndarray, roll: float) -> np.ndarray:
     """The affine map [2, 3] from pixels of the wall to those of the video stream, for a camera before `centre` (m),
     turned by `roll` (radians)."""
-    column, row = pixel_of(centre, size)
+    column, row = pixel_of(centre)
     turn = cv2.getRotationMatrix2D((float(column), float(row)), np.rad2deg(roll), 1.0)
     turn[:, 2] += np.array([STREAM[1] / 2 - column, STREAM[0] / 2 - row])
     return turn

@@ -33,7 +33,7 @@ def corner(monkeypatch):
 def detected(request):
     """Which objects are detected from where, bool [S, 24], without drawing."""
     places = shelf.furnish(np.random.default_rng([request.param, shelf.GENERATOR_VERSION]))
-    views = [shelf.camera(place, 0.0, shelf.SIZE) for place in centres()]
+    views = [shelf.camera(place, 0.0) for place in centres()]
     return np.array([[shelf.in_view(view, box) for box in shelf.boxes(places)] for view in views])
 
 
@@ -150,7 +150,7 @@ def test_on_a_gathered_shelf_neighbours_of_a_region_are_seen_together():
     """Each object with the next on its board of the region, from somewhere; elsewhere few are. Objects do not overlap,
     and stay in their half."""
     asked = splits.load_questions(splits.SHIPPED_QUESTIONS)
-    views = [shelf.camera(place, 0.0, shelf.SIZE) for place in centres()]
+    views = [shelf.camera(place, 0.0) for place in centres()]
     together = {}
     for gathered in (False, True):
         places = shelf.furnish(np.random.default_rng([0, shelf.GENERATOR_VERSION]), gathered)
