@@ -77,12 +77,14 @@ class Batch:
         place, members = self.places[run]
         return (members,) if len(self.envs) == 1 else (place, members)
 
-    def part(self, values: Any, places: list[int], members: list[int]) -> Any:
-        """Of an array of all members those of these goal sets and places, as a batch has them that is of these."""
-        if len(self.envs) == 1:
-            return values[np.asarray(members)]
-        own = values[np.asarray(places)][:, np.asarray(members)]
-        return own[0] if len(places) == 1 else own
+
+def part(values: Any, axes: int, places: list[int], members: list[int]) -> Any:
+    """Of an array of all members those of these goal sets and places, as a batch has them that is of these. axes: those
+    of goal sets and members, 1 where there is one goal set."""
+    if axes == 1:
+        return values[np.asarray(members)]
+    own = values[np.asarray(places)][:, np.asarray(members)]
+    return own[0] if len(places) == 1 else own
 
 
 @dataclasses.dataclass
@@ -324,8 +326,10 @@ def without_ended(training: Training, ended: set[Run]) -> Training:
         training.idle_seconds += idle * training.sweep.last_seconds
         return training
 
+    axes = len(batch.shape)
+
     def moved(leaf: jax.Array) -> jax.Array:
-        own = batch.part(leaf, places, which)
+        own = part(leaf, axes, places, which)
         leaf.delete()  # The device's memory may not hold both.
         return own
 
@@ -334,9 +338,9 @@ def without_ended(training: Training, ended: set[Run]) -> Training:
     smaller = begin(Batch(batch.config, envs, flat, runs))
     smaller.go_on_with(jax.tree.map(moved, training.states), training.evaluations)
     smaller.history = {
-        name: [batch.part(value, places, which) for value in values] for name, values in training.history.items()
+        name: [part(value, axes, places, which) for value in values] for name, values in training.history.items()
     }
-    smaller.finite = batch.part(training.finite, places, which)
+    smaller.finite = part(training.finite, axes, places, which)
     smaller.started, smaller.spans = training.started, training.spans
     smaller.sweep.last_seconds = training.sweep.last_seconds
     smaller.compile_seconds += training.compile_seconds

@@ -4,6 +4,7 @@ A checkpoint names its runs, and a batch goes on from any one that has all of it
 asked for makes no difference. A checkpoint is deleted when each of its runs is finished and measured.
 """
 
+import functools
 import hashlib
 import json
 import sys
@@ -141,13 +142,7 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: batches.T
         lambda leaf: jax.ShapeDtypeStruct((*finite.shape, *leaf.shape[own:]), leaf.dtype), training.shapes
     )
     states = checkpoint.arrays(path, payload, template)
-
-    def part(values: Any) -> Any:
-        if finite.ndim == 1:
-            return values[np.asarray(which)]
-        found = values[np.asarray(places)][:, np.asarray(which)]
-        return found[0] if own == 1 else found
-
+    part = functools.partial(batches.part, axes=finite.ndim, places=places, members=which)
     training.go_on_with(jax.tree.map(part, states), header["evaluations"])
     training.history = {
         name: [part(values) for values in np.asarray(history)] for name, history in header["history"].items()
