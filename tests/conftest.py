@@ -175,6 +175,14 @@ def few_programs():
         gc.collect()
 
 
+@pytest.fixture
+def nothing_of_the_users(tmp_path, monkeypatch):
+    """A cache and a working folder of the test's own; no proxy between the test and its server."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def reach_run(tmp_path_factory):
     """Two seeds of FetchReach with image goals, trained for two epochs on episodes of 10 steps: nothing is learned,

@@ -15,13 +15,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.data import backgrounds
 from infogoal_jax.errors import UserError
 
-
-@pytest.fixture(autouse=True)
-def nothing_of_the_users(tmp_path, monkeypatch):
-    """A cache and a working folder of the test's own; no proxy between the test and its server."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("nothing_of_the_users")
 
 
 @pytest.fixture(scope="module")
