@@ -75,9 +75,6 @@ def load(folder: Path, field: str = "from") -> Results:
     for path in paths:
         with archives.naming("numbers", path, REMEDY):
             archive = archives.read(path, REMEDY)
-            require(
-                "shapes" in archive.sizes, "format", "that of an earlier version", f"merge the runs again; {REMEDY}"
-            )
             texts = {name: entries(archive, name) for name in TEXTS}
             lengths = {len(text) for text in texts.values()}
             require(len(lengths) == 1, "names", sorted(lengths), f"should be as many as {', '.join(TEXTS)}; {REMEDY}")

@@ -23,7 +23,6 @@ from infogoal_jax.runs.disk import MOST_OF_ARRAYS, Place, decode, decode_value, 
 from infogoal_jax.runs.tables import Row
 
 FORMAT = "infogoal-jax checkpoint 2"
-EARLIER = "infogoal-jax checkpoint 1"
 LONGEST_HEADER = 2**20
 REMEDY = "train again, or bring back a copy of the file"
 
@@ -84,8 +83,6 @@ def parse_header(first_line: bytes, place: Place) -> tuple[dict[str, Any], str]:
     """The header of a checkpoint with its format, and the checksum. Raises `UserError` for another format."""
     header = parse(first_line, place)
     seal = decode(Seal, header, place)
-    if seal.format == EARLIER:
-        raise UserError(f"{place.path}: was written by an earlier version, which cannot be read; start a new run")
     if seal.format != FORMAT:
         raise place.wrong("format", seal.format, f"should be {FORMAT!r}")
     del header["sha256"]

@@ -221,7 +221,7 @@ def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
     """Its fields have other names, and its checkpoint another first line."""
     path = copy_of_whole / "checkpoint"
     path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
-    with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
+    with pytest.raises(UserError, match="format = .infogoal-jax checkpoint 1.: should be .*train again"):
         training.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
     about = json.loads((copy_of_whole / "config.json").read_text())
     del about["config"]["format"]
