@@ -291,7 +291,7 @@ def evaluate_run(
     typed goals, a goal that the task does not have, a folder without a run, or damaged parameters.
     """
     require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
-    require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
+    require(0 <= start_seed < checks.MOST_SEEDS - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
     remedy = "give a probability from 0 to 1, or a negative number for the run's own"
     checks.number(test_epsilon, "test_epsilon", high=1, remedy=remedy)
     if corruption is not None:

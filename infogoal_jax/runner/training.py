@@ -22,7 +22,7 @@ from infogoal_jax.runner import distributed
 from infogoal_jax.runner.sweep import Callback, Member, Programs, Sweep, side_by_side, train_sweep
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
-from infogoal_jax.runs.configuration import MOST_SEEDS, Description
+from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped, StopRequest, stop_on_signal
@@ -103,7 +103,7 @@ def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
     require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
     first, last = (seeds[0], seeds[-1]) if isinstance(seeds, range) else (min(seeds), max(seeds))
     require(
-        first >= 0 and last < MOST_SEEDS,
+        first >= 0 and last < checks.MOST_SEEDS,
         "seeds",
         f"{first} to {last}",
         "give seeds from 0 to below 2^32 (--first-seed)",

@@ -7,7 +7,7 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
-from infogoal_jax import imports, presets
+from infogoal_jax import checks, imports, presets
 from infogoal_jax.agents.all_goals import RELABELLING, OfAllGoals
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
@@ -37,7 +37,6 @@ SWEEP = "sweep.json"
 GIVE_A_RUN = "give the folder of a run of `infogoal train`"
 OF_A_SEARCH = "drawn"
 """What the config.json of a search has besides, its trials, and that of a run has not."""
-MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
 OF_HEADS = {"bounded": False, "layer_norm": False}
@@ -262,6 +261,6 @@ def from_values(values: Any, place: Place) -> Description:
     written = decode(Written, values, place)
     if not written.seeds or len(set(written.seeds)) < len(written.seeds):
         raise place.wrong("seeds", written.seeds, "should be different numbers")
-    if min(written.seeds) < 0 or max(written.seeds) >= MOST_SEEDS:
-        raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {MOST_SEEDS}")
+    if min(written.seeds) < 0 or max(written.seeds) >= checks.MOST_SEEDS:
+        raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {checks.MOST_SEEDS}")
     return Description(**vars(written) | {"config": made_with(written.imports, written.config, place)})
