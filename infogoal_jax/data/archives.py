@@ -64,11 +64,7 @@ def read(path: str | os.PathLike, remedy: str, version: int | None = 1) -> Archi
     Raises `OSError` if it cannot be read, `UserError` if it is no npz, cut short, of another version, or larger than
     any that was meant to be read.
     """
-    return opened(files.read_bytes(path), remedy, version)  # From memory: numpy leaves a damaged file open.
-
-
-def opened(content: bytes, remedy: str, version: int | None = 1) -> Archive:
-    """The npz that these bytes are, as `read` has it."""
+    content = files.read_bytes(path)  # From memory: numpy leaves a damaged file open.
     require(
         zipfile.is_zipfile(io.BytesIO(content)),
         "format",

@@ -134,13 +134,11 @@ def load(path: str | os.PathLike) -> FrameDataset:
     return FrameDataset(**(fields | {"about": from_json(str(members["about"]))}))
 
 
-def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute or two") -> FrameDataset:
+def cached(name: str, build: Callable[[], FrameDataset]) -> FrameDataset:
     """The dataset `name` of the user's cache; what `build` returns, kept there, if it is not there yet, or damaged.
 
     name: of the file, without its ending; what the dataset depends on must be in it (generator, version, seed,
-    options).
-    takes: how long building takes, in words; it is announced on stderr. A folder that cannot be written to costs the
-    cache, nothing else.
+    options). Building is announced on stderr. A folder that cannot be written to costs the cache, nothing else.
     """
     path = archives.user_cache() / f"{name}.npz"
     why = "is not in the cache yet"
@@ -150,7 +148,8 @@ def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute 
         except UserError:
             why = "in the cache is damaged"
     print(
-        f"infogoal: the dataset {name} {why}; it is built now, which takes {takes}, and kept as {path}", file=sys.stderr
+        f"infogoal: the dataset {name} {why}; it is built now, which takes a minute or two, and kept as {path}",
+        file=sys.stderr,
     )
     dataset = build()
     members = members_of(dataset)

@@ -181,9 +181,9 @@ def test_a_dataset_is_built_once_and_then_comes_from_the_cache(cache, capsys):
         built.append(small())
         return built[-1]
 
-    first = frames.cached("row-1", build, "a moment")
+    first = frames.cached("row-1", build)
     message = capsys.readouterr().err
-    assert "row-1 is not in the cache yet" in message and "takes a moment" in message and len(message.splitlines()) == 1
+    assert "row-1 is not in the cache yet; it is built now" in message and len(message.splitlines()) == 1
     second = frames.cached("row-1", build)
     np.testing.assert_array_equal(first.frames, second.frames)
     assert len(built) == 1 and capsys.readouterr() == ("", "")
