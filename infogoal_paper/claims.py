@@ -54,8 +54,14 @@ class Finding:
 
     @property
     def shown(self) -> str:
-        """The effect and its interval; nothing without runs."""
-        return "" if self.effect is None else self.effect.show(self.decimals)
+        """The effect and its interval, with a decimal more where a bound would look as if the verdict were open;
+        nothing without runs."""
+        if self.effect is None:
+            return ""
+        looks_open = self.verdict != "cannot be told" and self.above in (
+            round(bound, self.decimals) for bound in (self.effect.low, self.effect.high)
+        )
+        return self.effect.show(self.decimals + looks_open)
 
     @property
     def details(self) -> str:

@@ -155,14 +155,15 @@ VERDICT_HEAD = ["claim", "verdict", "as Algorithm 1 [95 %]", "as the text [95 %]
 
 
 def verdict_rows(found: list) -> list[list[str]]:
-    """Of every claim what `VERDICT_HEAD` names. Details are those of the first reading, and of the second where the
-    verdict differs."""
+    """Of every claim what `VERDICT_HEAD` names. Details are those of the first reading, and of the second where they
+    differ."""
     rows, usual = [], usual_count(found)
     for judged in found:
         claim, paper, text = judged.claim, judged.paper, judged.text
         effects, details = [paper.shown, "" if text is None else text.shown], paper.details
         if judged.verdict == claims.DEPENDS:
             effects = [f"{each.verdict}: {each.shown}" for each in (paper, text)]
+        if text is not None and text.details != paper.details:
             details += f". As the text: {text.details}"
         details = details.replace(f"; {usual}", "") if usual else details
         rows.append([claim.says, judged.verdict, *effects, details, claim.test, claim.where])

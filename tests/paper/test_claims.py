@@ -8,7 +8,7 @@ import pytest
 
 from infogoal_paper import claims, measure, numbers
 from infogoal_paper.manifest import FIXED_BETAS, fixed
-from infogoal_paper.scores import row_of
+from infogoal_paper.scores import Bounds, row_of
 
 RISING = np.linspace(0, 1, made_up_results.EVALUATIONS)
 
@@ -256,3 +256,8 @@ def test_the_text_has_the_rows_with_her_of_three_learners_and_the_other_rows_as_
 def test_a_claim_about_figures_is_asked_under_algorithm_1_alone(results):
     found = judged(results, "sse-db-test")
     assert found.text is None and found.verdict == found.paper.verdict
+
+
+def test_a_bound_beside_its_verdict_does_not_round_to_it():
+    assert claims.Finding(Bounds(-0.0571, -0.1101, -0.0041), "").shown == "-0.057 [-0.110, -0.004]"
+    assert claims.Finding(Bounds(-0.02, -0.05, 0.0), "").shown == "-0.02 [-0.05, 0.00]"
