@@ -117,7 +117,7 @@ class TrainConfig:
     test_corruption: Annotated[float, Within("[0, 1]", "give a weight from 0 to 1, for example 0.4")] = 0.4
     """Weight of the backgrounds in the evaluation on corrupted goals, in [0, 1]; the paper's."""
     stop_encoder_gradient: bool = False
-    """Keep the gradient of the agent's loss from reaching the goal encoder (the paper lets it through)."""
+    """Keep the agent's gradient from the goal encoder (the paper lets it through)."""
     bfloat16: bool = False
     """Layers of the networks give each other bfloat16 in updates; parameters, their moments and losses stay float32.
     For goals that are images and many seeds on a GPU (docs/research/speed.md)."""

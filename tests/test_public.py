@@ -518,7 +518,7 @@ CALLS = {
     ),
     "of_arrays of transitions": Call(
         lambda **arrays: of_arrays(arrays),
-        RECORDED | {"next_observations": np.ones((3, 4))},
+        RECORDED | {"next_observations": np.ones((3, 4)), "terminals": [1, 1, 1]},  # Each is an episode.
         {
             "observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
             "actions": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,

@@ -362,7 +362,11 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
             of("all_instance_id_map.txt", instances, read_scenes),
             npz("low_level.npz", low_level_members(), read_low_level),
             npz("walks.npz", walk_members(achieved_goals=np.zeros((7, 2), np.float32)), read_walks),
-            npz("transitions.npz", walk_members(next_observations=np.zeros((7, 4), np.float32)), read_walks),
+            npz(
+                "transitions.npz",
+                walk_members(next_observations=np.zeros((7, 4), np.float32), terminals=np.ones(7)),
+                read_walks,
+            ),
             npz("compact.npz", walk_members(valids=np.eye(7)[[2, 6]].sum(0) == 0), read_walks),
             of("sweep.json", plan_of_sweep(place / "sweep"), lambda path: jobs.read_plan(path.parent)),
             Format("run.zip", zipped := packed_run(place / "run"), damaged_zip(zipped), folder.find_run),
