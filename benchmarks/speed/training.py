@@ -1,6 +1,7 @@
 """What training costs, in three tables.
 
-    python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1] [--bfloat16]
+    python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
+        [--bfloat16]
     python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
     python benchmarks/speed/training.py evaluating [--tasks fetch_pick_and_place] [--method infogoal] [--seeds 16]
 

@@ -1,6 +1,7 @@
 """How many bytes one update moves through memory, beside the least that its mathematics needs, and how many kernels.
 
-    python benchmarks/speed/update_bytes.py [--tasks object_search ...] [--method infogoal] [--seeds 16] [--bfloat16]
+    python benchmarks/speed/update_bytes.py [--tasks object_search ...] [--method infogoal] [--seeds 16] [--largest 12]
+        [--bfloat16]
 
 Counted in the program that the compiler made for this device: what every kernel of the loop over updates reads and
 writes; of an array that a kernel takes parts from, those parts. Caches are not known to it, so that an array that two

@@ -145,7 +145,7 @@ def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: 
     of_goals = len(seen) > 1
     described = spaces.Dict({key: space(values) for key, values in seen.items()})
     if episodes.moves:
-        taken, actions = episodes.actions.astype(np.int64), spaces.Discrete(int(episodes.actions.max()) + 1)
+        taken, actions = episodes.actions.astype(np.int64), spaces.Discrete(episodes.action_size)
     else:
         low, high = np.float32([[-1], [1]]) if episodes.action_bounds is None else episodes.action_bounds
         taken = np.clip(between((low, high), episodes.actions), low, high)

@@ -27,12 +27,11 @@ from infogoal_jax.errors import UserError, require
 REMEDY = "give an npz with observations, actions and terminals (docs/reference/datasets.md)"
 VECTORS = Member("float", ("rows", "numbers of an observation"))
 IMAGES = Member("uint8", ("rows", "rows of pixels", "columns of pixels", "channels"))
-ACTIONS = Member("float", ("rows", "numbers of an action"))
 MOVES = Member("integer", ("rows",))
 GOAL = Member("number", ("rows", "numbers of a goal"), needed=False)
 SCHEMA = {
     "observations": VECTORS,
-    "actions": ACTIONS,
+    "actions": Member("float", ("rows", "numbers of an action")),
     "terminals": Member("0 or 1", ("rows",)),
     "achieved_goals": GOAL,
     "desired_goals": GOAL,
@@ -71,9 +70,10 @@ class Episodes:
         check(faults_of(members))
         object.__setattr__(self, "last", members.pop("terminals").astype(bool))
         for name, array in members.items():
-            moves = name == "actions" and array.ndim == 1
-            kept = array.dtype if array.dtype == np.uint8 and not moves else np.int32 if moves else np.float32
-            object.__setattr__(self, name, np.asarray(array, kept))
+            kind = np.uint8 if array.dtype == np.uint8 else np.float32
+            if name == "actions" and array.ndim == 1:
+                kind = np.int32
+            object.__setattr__(self, name, np.asarray(array, kind))
 
     def members(self) -> dict[str, np.ndarray]:
         """The members of a file of them."""
@@ -85,6 +85,11 @@ class Episodes:
     def moves(self) -> bool:
         """Whether actions are the numbers of moves."""
         return self.actions.ndim == 1
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in an action, or how many moves there are: one more than the largest number."""
+        return int(self.actions.max()) + 1 if self.moves else self.actions.shape[1]
 
     @property
     def lengths(self) -> np.ndarray:
@@ -99,10 +104,10 @@ class Episodes:
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """The row [E] and the column [E] where each episode begins, in rows of `width` with as many whole episodes as
         follow each other in it."""
-        lengths = self.lengths + 1
+        lengths, width = self.lengths + 1, self.width
         row, column, place, filled = np.zeros(len(lengths), int), np.zeros(len(lengths), int), 0, 0
         for number, length in enumerate(lengths):
-            if filled + length > self.width:
+            if filled + length > width:
                 place, filled = place + 1, 0
             row[number], column[number] = place, filled
             filled += length
@@ -199,7 +204,8 @@ def remarks_on(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
                     f"its column {column} by up to {error[column]:.3g}, where it varies by {array[:, column].std():.3g}"
                 )
                 yield name, f"is {array.dtype}; float32 rounds {by}; subtract its mean"
-    if len(of_arrays(members).lengths) == 1:
+    marks = 1 - members["valids"] if "valids" in members else members["terminals"]
+    if np.count_nonzero(marks) == 1:
         yield "terminals", "all is one episode; mark the end of each, if there are more"
 
 
@@ -272,7 +278,7 @@ def describe(episodes: Episodes) -> str:
     """What is in them, in a line, and what it takes on a device."""
     lengths = episodes.lengths
     seen = " x ".join(map(str, episodes.observations.shape[1:]))
-    acts = "moves" if episodes.moves else f"{episodes.actions.shape[1]}"
+    acts = "moves" if episodes.moves else episodes.action_size
     span = f"{lengths.min():,}" + (f" to {lengths.max():,}" if lengths.min() < lengths.max() else "")
     return (
         f"{len(lengths):,} episodes of {span} steps, {lengths.sum():,} in all; observations {seen} "

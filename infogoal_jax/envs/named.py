@@ -12,8 +12,8 @@ from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig, traits
-from infogoal_jax.envs.recordings import from_recordings, recorded_in
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.envs.recordings import from_recordings, naming_field, recorded_in
+from infogoal_jax.errors import nearest, require
 from infogoal_jax.field_types import Size, Within
 from infogoal_jax.files import expanded
 from infogoal_jax.registry import Entry
@@ -170,11 +170,8 @@ def make_ogbench(config: OGBenchConfig) -> GoalTask:
     file = config.dataset or str(expanded(f"{DOWNLOADED}/{config.id}.npz"))
     remedy = f"is not in {DOWNLOADED}: ogbench.download_datasets([NAME]) fetches it, or give --env.dataset FILE"
     require(bool(config.dataset) or os.path.exists(file), "env.id", config.id, remedy)
-    try:
+    with naming_field("env.dataset" if config.dataset else "env.id", config.dataset or config.id, file):
         return from_recordings(file)
-    except UserError as error:
-        field = f"env.dataset = {config.dataset!r}" if config.dataset else f"env.id = {config.id!r}"
-        raise UserError(f"{field}: {str(error).removeprefix(f'dataset = {file!r}: ')}") from error
 
 
 LIBRARIES = {

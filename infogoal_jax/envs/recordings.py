@@ -2,10 +2,11 @@
 goals the same task to be learned offline. It is simulated in evaluations alone. `from_recordings` makes a task of
 recordings alone, whose environment is elsewhere."""
 
+import contextlib
 import dataclasses
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import flax.struct
 import jax
@@ -46,21 +47,23 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
         f"{observations.dtype} {list(observations.shape[1:])}",
         f"the task has {seen.dtype} {list(seen.shape)}",
     )
-    told = f"{int(episodes.actions.max()) + 1} moves" if episodes.moves else episodes.actions.shape[1]
-    fits = episodes.moves == task.discrete and (
-        episodes.actions.max() < task.action_size if task.discrete else told == task.action_size
+    taken = episodes.action_size
+    fits = taken <= task.action_size if task.discrete else taken == task.action_size
+    require(
+        fits and episodes.moves == task.discrete,
+        "actions",
+        f"{taken} moves" if episodes.moves else taken,
+        f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}",
     )
-    owns = f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}"
-    require(bool(fits), "actions", told, owns)
     bounds, own = episodes.action_bounds, task.action_bounds
     if bounds is not None and own is not None:
         remedy = f"give recordings of the task, whose actions have {np.asarray(own).tolist()}"
         require(np.allclose(bounds, own), "action_bounds", bounds.tolist(), remedy)
     achieved = episodes.achieved_goals
     if achieved is None:
-        told = jax.jit(jax.vmap(task.achieved_in))
+        achieved_in = jax.jit(jax.vmap(task.achieved_in))
         parts = np.array_split(episodes.observations, math.ceil(episodes.observations.nbytes / AT_ONCE))
-        achieved = np.concatenate([np.asarray(told(part)) for part in parts])
+        achieved = np.concatenate([np.asarray(achieved_in(part)) for part in parts])
     for name, goals in (("achieved_goals", achieved), ("desired_goals", episodes.desired_goals)):
         fits = goals is None or goals.shape[1:] == (size,)
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
@@ -150,7 +153,7 @@ def from_recordings(
         space,
         radius=MARGIN,
         episode_length=episodes.width - 1,
-        action_size=int(episodes.actions.max()) + 1 if episodes.moves else episodes.actions.shape[1],
+        action_size=episodes.action_size,
         discrete=episodes.moves,
         action_bounds=episodes.action_bounds,
     )
@@ -162,11 +165,17 @@ def recorded_in(task: GoalTask, path: str) -> GoalTask:
     for what cannot be used."""
     if not path:
         return task
-    try:
+    with naming_field("env.dataset", path, path):
         return with_recordings(task, load(path))
+
+
+@contextlib.contextmanager
+def naming_field(field: str, value: str, path: str) -> Iterator[None]:
+    """Turn a `UserError` in the block about the file at `path` into one about the field that led to it."""
+    try:
+        yield
     except UserError as error:
-        said = str(error).removeprefix(f"dataset = {path!r}: ")
-        raise UserError(f"env.dataset = {path!r}: {said}") from error
+        raise UserError(f"{field} = {value!r}: {str(error).removeprefix(f'dataset = {path!r}: ')}") from error
 
 
 def rows_of(

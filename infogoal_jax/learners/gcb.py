@@ -78,7 +78,7 @@ class RewardDecoder(nn.Module):
 
     @nn.compact
     def __call__(self, codes, next_codes):
-        joined = nn.LayerNorm()(networks.last_layer(self.hidden)(jnp.concatenate([codes, next_codes], axis=-1)))
+        joined = networks.normalised(networks.last_layer(self.hidden)(jnp.concatenate([codes, next_codes], axis=-1)))
         return networks.last_layer(1)(nn.relu(joined))[..., 0]
 
 
