@@ -99,14 +99,18 @@ SEARCHING = "object_search+searching"
 """Object search with a memory, in other lengths of an episode, and InfoBot with other betas."""
 FIRST_TRIALS = "object_search+small"
 """Object search with the small preset's floats, for as many epochs."""
-CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
-"""What is run there, in order: methods that are near the best on the shipped goals."""
 CHOSEN_AGAIN = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher")
 """Methods whose floats are chosen again on Fetch and the cube, in order."""
 SEARCHERS = ("none", "her", "infogoal", "infobot", "infogoal+her", "infobot+her")
 """Methods that are given a memory."""
 BESIDE = {
-    **dict.fromkeys(UNSEEN_FETCH.values(), (*CONTENDERS, *(f"{method}@clean" for method in CHOSEN_AGAIN))),
+    **{
+        unseen: (
+            *(method for method in METHODS if (task, method) not in ELSEWHERE),
+            *(f"{method}@clean" for method in CHOSEN_AGAIN),
+        )
+        for task, unseen in UNSEEN_FETCH.items()
+    },
     CUBE_AGAIN: tuple(f"{method}@clean" for method in CHOSEN_AGAIN),
     FIRST_TRIALS: ("infogoal", "her"),
     SEARCHING: (

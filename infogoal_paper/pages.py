@@ -23,6 +23,7 @@ them is replaced by what the numbers of the source give. Sources:
     ogbench   our offline agents beside OGBench, ogbench.py, in ogbench.jsonl.xz
     goal_encoders  goal encoders on both, goal_encoders.py
     first_hour  what benchmarks/speed/first_steps.py saved, in first_hour.json
+    bfloat16  success with --bfloat16, which benchmarks/speed/success.py saved, in bfloat16.jsonl.xz
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
@@ -32,10 +33,12 @@ all_goals.png, jaxgcrl.png and continuous_*.png, too.
 
 import argparse
 import csv
+import itertools
 import json
+import lzma
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,6 +49,7 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
+from infogoal_jax.report.statistics import paired_difference
 from infogoal_paper import (
     all_goals,
     choices,
@@ -64,7 +68,7 @@ from infogoal_paper import (
     tuning,
 )
 from infogoal_paper.manifest import PROTOCOLS
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import machines_in_words, markdown_lines
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -308,6 +312,38 @@ def first_hour_table() -> dict[str, str]:
     return {"steps": f"{table}\n\n{' '.join(machines)}"}
 
 
+BFLOAT16 = RESULTS / "bfloat16.jsonl.xz"
+
+
+def success_table(runs: Sequence[dict[str, Any]]) -> str:
+    """Success at the last evaluation before and after a change, and the difference with its 95 % interval, seeds
+    paired, of every task that has both. runs: what benchmarks/speed/success.py writes."""
+    rows = []
+    for before, after in itertools.product(runs, runs):
+        if (before["label"], after["label"], before["task"]) != ("before", "after", after["task"]):
+            continue
+        for goals in ("test_goal", "corrupted_test_goal"):
+            name = f"{goals}/success_rate"
+            if name in before["success"]:
+                first, last = ([row[-1] for row in each["success"][name]] for each in (before, after))
+                about = [
+                    before["task"],
+                    after["method"],
+                    f"{after['updates']:,}",
+                    goals.removesuffix("_goal").replace("_", " "),
+                ]
+                means = [f"{np.mean(each):.3f}" for each in (first, last)]
+                rows.append([*about, *means, paired_difference(last, first).show(3)])
+    table = markdown_lines(["task", "method", "updates", "goals", "before", "after", "difference"], rows)
+    seeds = min(each["seeds"] for each in runs)
+    return f"{table}\n\n{seeds} seeds; {machines_in_words(each['machine'] for each in runs)}."
+
+
+def bfloat16_table() -> dict[str, str]:
+    """Success without and with `--bfloat16`."""
+    return {"success": success_table([json.loads(line) for line in lzma.open(BFLOAT16)])}
+
+
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
@@ -324,6 +360,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "ogbench": ogbench.tables,
     "goal_encoders": goal_encoders.tables,
     "first_hour": first_hour_table,
+    "bfloat16": bfloat16_table,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 

@@ -2,15 +2,17 @@
 
     python benchmarks/speed/success.py run before object_search infogoal --seeds 5 --checkout FOLDER --out RUNS
     python benchmarks/speed/success.py run after object_search infogoal --seeds 5 --out RUNS
-    python benchmarks/speed/success.py compare RUNS
+    python benchmarks/speed/success.py compare RUNS [--save]
 
 run: trains the seeds 0, 1, ... of a preset side by side, and keeps success of each at every evaluation, in a file of
 RUNS; --checkout: with the package in this folder; --bfloat16: with that field. compare: success on test goals at the
-last evaluation of both, and the difference with its 95 % interval, seeds paired, for every task that RUNS has twice.
+last evaluation of both, and the difference with its 95 % interval, seeds paired, for every task that RUNS has twice;
+--save: keeps them as those of --bfloat16, of which `python -m infogoal_paper.pages bfloat16` makes the page's table.
 """
 
 import argparse
 import json
+import lzma
 import sys
 import time
 from pathlib import Path
@@ -35,7 +37,7 @@ def run(arguments: argparse.Namespace) -> None:
     program = jax.jit(over, compiler_options=compiler_options()).lower(keys, config.hyper, train.env).compile()
     started = time.perf_counter()
     metrics = jax.block_until_ready(program(keys, config.hyper, train.env))
-    values = {name: np.asarray(value) for name, value in metrics.items() if name.endswith("success_rate")}
+    values = {name: np.asarray(value, float) for name, value in metrics.items() if name.endswith("success_rate")}
     found = {
         **{name: getattr(arguments, name) for name in ("label", "task", "method", "seeds")},
         "updates": config.num_epochs * config.updates_per_epoch,
@@ -50,27 +52,12 @@ def run(arguments: argparse.Namespace) -> None:
 
 def compare(arguments: argparse.Namespace) -> None:
     """Print the table."""
-    from infogoal_jax.report.statistics import paired_difference
+    from infogoal_paper import pages
 
-    found: dict[str, dict[str, dict]] = {}
-    for path in sorted(arguments.runs.glob("success_*.json")):
-        runs = json.loads(path.read_text())
-        found.setdefault(runs["task"], {})[runs["label"]] = runs
-    print(
-        "| task | method | seeds | updates | goals | before | after | difference |\n|---|---|---|---|---|---|---|---|"
-    )
-    for task, both in found.items():
-        if both.keys() < {"before", "after"}:
-            continue
-        before, after = both["before"], both["after"]
-        for goals in ("test_goal", "corrupted_test_goal"):
-            name = f"{goals}/success_rate"
-            if name in before["success"]:
-                first, last = ([row[-1] for row in each["success"][name]] for each in (before, after))
-                means = " | ".join(f"{sum(each) / len(each):.3f}" for each in (first, last))
-                words = f"| {task} | {after['method']} | {after['seeds']} | {after['updates']:,} | "
-                kind = goals.removesuffix("_goal").replace("_", " ")
-                print(f"{words}{kind} | {means} | {paired_difference(last, first).show(3)} |")
+    runs = [json.loads(path.read_text()) for path in sorted(arguments.runs.glob("success_*.json"))]
+    print(pages.success_table(runs))
+    if arguments.save:
+        pages.BFLOAT16.write_bytes(lzma.compress("".join(f"{json.dumps(each)}\n" for each in runs).encode()))
 
 
 def main() -> None:
@@ -85,7 +72,9 @@ def main() -> None:
     one.add_argument("--checkout", type=Path)
     one.add_argument("--bfloat16", action="store_true")
     one.add_argument("--out", type=Path, required=True)
-    commands.add_parser("compare").add_argument("runs", type=Path)
+    two = commands.add_parser("compare")
+    two.add_argument("runs", type=Path)
+    two.add_argument("--save", action="store_true")
     arguments = parser.parse_args()
     {"run": run, "compare": compare}[arguments.command](arguments)
 
