@@ -322,8 +322,8 @@ def success_table(runs: Sequence[dict[str, Any]]) -> str:
     for before, after in itertools.product(runs, runs):
         if (before["label"], after["label"], before["task"]) != ("before", "after", after["task"]):
             continue
-        for goals in ("test_goal", "corrupted_test_goal"):
-            name = f"{goals}/success_rate"
+        for goals in ("test", "corrupted test"):
+            name = f"{goals.replace(' ', '_')}_goal/success_rate"
             if name in before["success"]:
                 first, last = ([row[-1] for row in each["success"][name]] for each in (before, after))
                 about = [
