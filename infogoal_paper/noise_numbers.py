@@ -834,7 +834,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
             shown = numbers, task, searches
             beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}
     return beside | {
-        "differences": difference_table(numbers, list(TASKS), PAIRS),
+        "differences": difference_table(numbers, list(PRESETS_OF.values()), PAIRS),
         "first": first_table(numbers),
         "carries": carries_table(numbers),
         "carries_differences": carries_differences(numbers),
