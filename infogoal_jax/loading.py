@@ -363,6 +363,9 @@ def check_environment(config: TrainConfig, env: Any) -> None:
     trained = not env.goals.finite or len(env.goals.training_goals) > 0
     require(trained, "env.goals", env.goals.groups, "give one or more training goals, of use 0")
     check_same_task(config, env)
+    by_cells = getattr(config.learner, "dissimilar_by", None) == "cells"
+    remedy = "goals of so many numbers lie in one cell, in which all are similar; give trajectory"
+    require(not by_cells or env.goals.num_cells > 1, "learner.dissimilar_by", "cells", remedy)
 
 
 def steer(env, config) -> target_states.SubgoalEnv:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax.linen.dtypes import promote_dtype
 
+from infogoal_jax.errors import require
 from infogoal_jax.shapes import with_rank
 
 MINIMUM_STD = 1e-3  # Added to softplus in the authors' encoder.
@@ -118,6 +119,8 @@ class PixelLayer(nn.Module):
 
     @nn.compact
     def __call__(self, images):
+        height, width = images.shape[-3:-1]
+        require(height % 8 == width % 8 == 0, "goal images", [height, width], "give sides that 8 divides")
         seen = scaled(squares_of_fours(images))
         kernel = self.param("kernel", nn.initializers.lecun_normal(), (seen.shape[-1], 16), jnp.float32)
         bias = with_rank(self.param("bias", nn.initializers.zeros_init(), (16,), jnp.float32), seen.ndim)

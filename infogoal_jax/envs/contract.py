@@ -90,6 +90,8 @@ def check_functions(env: Environment) -> None:
             checks.traced("env.shortest_path", env.shortest_path, state), "env.shortest_path", Spec((), "int32")
         )
     check_stored(env, state)
+    if env.recorded is not None:
+        check_recorded(env, state)
     if getattr(type(env), "draw", Environment.draw) is not Environment.draw:
         checks.function(env.draw, "env.draw", 1, "give a function of a state")
         picture = checks.traced("env.draw", env.draw, state)
@@ -136,6 +138,28 @@ def check_members(env: Environment) -> None:
             found = checks.written(np.shape(array), dtype_of)
             fits = dtype_of == dtype and checks.has_shape(np.shape(array), shape)
             require(fits, f"env.{name}", found, wanted)
+            known = num_goals is not None or name not in ("goal_positions", "near_goals")
+            require(known, f"env.{name}", found, "the goals are no finite set, of which each has one; give None")
+    check_backgrounds(env)
+
+
+def check_backgrounds(env: Environment) -> None:
+    """Raise `UserError` for backgrounds of goals that are not images, of other sizes than these, or for training or
+    evaluation alone."""
+    banks = {name: getattr(env, name) for name in ("train_backgrounds", "test_backgrounds")}
+    if env.goals.by_index or not any(bank is not None for bank in banks.values()):
+        return
+    goal = Spec(env.goals.shape, env.goals.dtype).struct
+    seen = checks.traced("env.goals.inputs_of", env.goals.inputs_of, goal)
+    is_image = str(seen.dtype) == "uint8" and seen.ndim == 3
+    for name, bank in banks.items():
+        require(
+            bank is not None, f"env.{name}", None, "give backgrounds both for training and for tests, or for neither"
+        )
+        remedy = f"give {checks.written(('B', *seen.shape), 'uint8')}, as goal images are" if is_image else "give None"
+        found = checks.written(np.shape(bank), str(jnp.result_type(bank)))
+        reason = remedy if is_image else f"goals are no images, but {checks.described(seen)}; {remedy}"
+        require(is_image and np.shape(bank)[1:] == seen.shape, f"env.{name}", found, reason)
 
 
 def check_kind(env: Environment) -> None:
@@ -207,6 +231,24 @@ def started(env: Environment, state: Any) -> tuple[jax.Array, list[jax.Array]]:
 def rounded(goals: np.ndarray) -> list:
     """Goals as a message shows them."""
     return np.round(goals.astype(float), 4).tolist()
+
+
+def check_recorded(env: Environment, state: Any) -> None:
+    """Raise `UserError` for recordings that are not rows of T transitions of this task."""
+    rows, action = env.recorded, Spec((), "int32") if env.discrete else Spec((env.action_size,), "float32")
+    checks.returned(rows.valid, "env.recorded.valid", Spec(("R", "T"), "bool"))
+    count, steps = rows.valid.shape
+    flag = Spec((), "bool").struct
+    wanted = {
+        "observation": (steps + 1, checks.traced("env.observe", env.observe, state)),
+        "record": (steps + 1, checks.traced("env.achieved", env.achieved, state)),
+        "action": (steps, action.struct),
+        "desired_goal": (steps, Spec(env.goals.shape, env.goals.dtype).struct),
+        **dict.fromkeys(("terminated", "truncated", "decided"), (steps, flag)),
+    }
+    for name, (length, example) in wanted.items():
+        stored = checks.with_axes(example, (count, length))
+        checks.same_shapes(getattr(rows, name), stored, f"env.recorded.{name}", "what the task gives of each step")
 
 
 def check_flag(found: Any, name: str) -> None:

@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import optax
 import pytest
 
 from infogoal_jax import UserError, envs, make_train, pairs, presets, replay
+from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.learners import infogoal
 from infogoal_jax.learners.learner import LearnerBatch, SampleSpec
@@ -139,6 +141,31 @@ def test_the_classifier_learns_from_pairs_which_goals_are_similar():
 def test_goals_of_a_set_need_no_other_way():
     with pytest.raises(UserError, match=r"learner.dissimilar_by = 'cells': goals of object_search are a finite set"):
         make_train(presets.load("object_search", learner=infogoal.InfoGoalConfig(dissimilar_by="cells")))
+
+
+@flax.struct.dataclass
+class ManyNumbers(GoalTask):
+    """A state of thirteen numbers, each of which an action moves."""
+
+    action_size, source = 13, "made up"
+
+    def begin(self, key):
+        return jax.random.uniform(key, (13,))
+
+    def move(self, world, action):
+        return world + 0.1 * action
+
+    def observation(self, world):
+        return world
+
+    def achieved_goal(self, world):
+        return world
+
+
+def test_goals_in_one_cell_are_not_told_apart_by_cells():
+    presets.register("many_numbers", ManyNumbers(GoalBox.of([0.0] * 13, [1.0] * 13), radius=0.5))
+    with pytest.raises(UserError, match="learner.dissimilar_by = 'cells': goals of so many numbers lie in one cell"):
+        make_train(presets.load("many_numbers", learner=infogoal.InfoGoalConfig(dissimilar_by="cells")))
 
 
 def test_every_place_of_the_space_has_a_cell_of_its_own_and_no_goal_has_none():

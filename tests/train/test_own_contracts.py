@@ -34,6 +34,7 @@ from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.loading import check_environment
+from infogoal_jax.networks import ImageLayers
 from infogoal_jax.registry import Entry
 from infogoal_jax.train import checked_parts
 
@@ -63,6 +64,44 @@ def trace(train):
 @pytest.mark.parametrize("make", [hand_made.environment, hand_made_frames.manipulation, hand_made_frames.qa])
 def test_the_package_s_environments_keep_the_contract(make):
     check_contract(make())
+
+
+BANK = np.zeros((2, 8, 8, 1), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("made", "members", "message"),
+    [
+        (hand_made.environment, {"test_backgrounds": BANK}, "env.train_backgrounds = None: .*or for neither"),
+        (
+            hand_made.environment,
+            dict(train_backgrounds=BANK, test_backgrounds=BANK),
+            r"env.train_backgrounds = 'uint8 \[2, 8, 8, 1\]': goals are no images, but float32 \[16\]; give None",
+        ),
+        (
+            hand_made_frames.manipulation,
+            {"test_backgrounds": np.zeros((2, 4, 4, 3), np.uint8)},
+            r"env.test_backgrounds = 'uint8 \[2, 4, 4, 3\]': give uint8 \[B, .*, as goal images are",
+        ),
+    ],
+)
+def test_backgrounds_are_those_of_goal_images(made, members, message):
+    with pytest.raises(UserError, match=message):
+        check_contract(made().replace(**members))
+
+
+@pytest.mark.parametrize("name", ["observation", "record", "action", "desired_goal", "terminated"])
+def test_recordings_are_rows_of_what_the_task_gives(name):
+    """A row has one observation more than transitions."""
+    env = hand_made_frames.qa()
+    rows = jax.tree.map(lambda leaf: leaf[:, :-1], getattr(env.recorded, name))
+    with pytest.raises(UserError, match=rf"env.recorded.{name}: leaf .*give both the same"):
+        check_contract(env.replace(recorded=env.recorded.replace(**{name: rows})))
+
+
+def test_goal_images_have_sides_that_the_first_layer_can_cut():
+    with pytest.raises(UserError, match=r"goal images = \[12, 8\]: give sides that 8 divides"):
+        ImageLayers(standardise=True).init(jax.random.key(0), jnp.zeros((1, 12, 8, 3), jnp.uint8))
 
 
 def test_environments_of_vectors_keep_the_contract():
@@ -165,6 +204,13 @@ def test_a_goal_task_keeps_the_contract():
 def test_a_radius_that_nothing_lies_within_is_refused(radius):
     with pytest.raises(UserError, match="env.radius = .*give a distance above 0"):
         check_contract(in_a_line(radius=radius))
+
+
+@pytest.mark.parametrize(("name", "array"), [("near_goals", np.zeros(3, bool)), ("goal_positions", np.zeros((3, 2)))])
+def test_what_each_goal_of_a_set_has_no_box_has(name, array):
+    members = {name: array.astype(np.float32) if array.ndim == 2 else array}
+    with pytest.raises(UserError, match=f"env.{name} = .*: the goals are no finite set"):
+        check_contract(in_a_line(members=members))
 
 
 def test_a_goal_task_has_a_box_of_goals():
