@@ -58,6 +58,8 @@ class Transitions:
     """float32 [B, n], 1 for a step that was taken."""
     terminated: jax.Array
     """bool [B], whether the last step reached the goal, or failed: nothing follows."""
+    failed: jax.Array | None = None
+    """bool [B], whether the episode failed with the last step; None where none can."""
 
 
 def empty(example: Trajectories, buffer_epochs: int) -> Trajectories:
@@ -119,8 +121,9 @@ def transitions_at(
         earlier = jnp.cumsum(hit, axis=1, dtype=jnp.int32) - hit.astype(jnp.int32)
         mask = mask * (earlier == 0).astype(jnp.int32)  # Nothing counts after the first hit.
         last, terminated = first + mask.sum(1, dtype=jnp.int32) - 1, hit.any(1)
-    if buffer.failed is not None:
-        terminated = terminated | buffer.failed[row, last]
+    failed = None if buffer.failed is None else buffer.failed[row, last]
+    if failed is not None:
+        terminated = terminated | failed
     return Transitions(
         observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
         next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),
@@ -129,6 +132,7 @@ def transitions_at(
         records=records,
         mask=mask.astype(jnp.float32),
         terminated=terminated,
+        failed=failed,
     )
 
 

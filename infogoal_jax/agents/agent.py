@@ -48,7 +48,8 @@ class AllGoals:
     reward: jax.Array
     """float32 [B, G], discounted: of the first step that achieves the goal."""
     discount: jax.Array
-    """float32 [B, G], discount of what follows; 0 for a goal that the transition achieves, and for that goal alone."""
+    """float32 [B, G], discount of what follows; 0 for a goal that the transition achieves, and for that goal alone, or
+    after a failure."""
 
 
 @flax.struct.dataclass

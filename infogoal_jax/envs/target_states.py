@@ -146,6 +146,7 @@ class SubgoalEnv(Environment):
     goal_positions, near_goals = of_env("goal_positions"), of_env("near_goals")
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")
     has_shortest_path, unwrapped = of_env("has_shortest_path"), of_env("unwrapped")
+    can_fail, simulated, costly_reset = of_env("can_fail"), of_env("simulated"), of_env("costly_reset")
     goals_are_observations, ends_at_goal = of_env("goals_are_observations"), of_env("ends_at_goal")
     render, reached, goals_of, cell_of = of_env("render"), of_env("reached"), of_env("goals_of"), of_env("cell_of")
 
@@ -156,6 +157,10 @@ class SubgoalEnv(Environment):
 
     def with_goals(self, goals: GoalSpace) -> "SubgoalEnv":
         return self.replace(env=self.env.with_goals(goals))
+
+    def failed(self, state: SubgoalState) -> jax.Array:
+        """Whether the episode has failed in the environment inside, bool."""
+        return self.env.failed(state.inner)
 
     def shortest_path(self, state: SubgoalState) -> jax.Array:
         """Steps to the desired goal on a shortest path of the environment inside, int32."""

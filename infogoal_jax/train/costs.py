@@ -27,7 +27,7 @@ def sample_costs(
     buffer = experience.buffer
     before = jax.tree.map(lambda leaf: leaf[row, step], buffer.record)
     at_goal = setup.env.reached(before, batch.desired_goal)
-    failed = jnp.zeros_like(at_goal) if buffer.failed is None else buffer.failed[row, step]
+    failed = jnp.zeros_like(at_goal) if batch.failed is None else batch.failed
     cost = jnp.where(failed, 1.0 / (1.0 - setup.hyper.discount), 1.0)
     goal, way = setup.parts.relabelling.costs(key, experience.relabelling, row, step, buffer.desired_goal[row, step])
     waypoints = None

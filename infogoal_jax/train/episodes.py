@@ -16,7 +16,7 @@ class Episodes:
     steps: jax.Array
     """int32 [E], steps taken until the end."""
     success: jax.Array
-    """bool [E], whether the goal was reached; at the end, where reaching it ends no episode."""
+    """bool [E], whether the goal was reached; where reaching it ends no episode: at the end, without a failure."""
     first_reached: jax.Array
     """int32 [E], steps after which the goal was first reached; episode_length + 1 where it never was."""
     observations: jax.Array
@@ -53,4 +53,5 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
         success, found, first = states.terminated, states.terminated, states.time
     else:
         success, found, first = at_goal[-1], at_goal.any(0), at_goal.argmax(0).astype(jnp.int32) + 1
+        success = success & ~env.failed(states) if env.can_fail else success
     return Episodes(states.time, success, jnp.where(found, first, env.episode_length + 1), observations)

@@ -68,8 +68,7 @@ def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[T
     terminated, truncated = (ends.sum(dtype=jnp.int32) for ends in (rows.terminated, rows.truncated))
     ended, reached = jnp.maximum(terminated + truncated, 1), terminated
     if not env.ends_at_goal:
-        led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
-        reached = (rows.truncated & env.reached(led_to, rows.desired_goal)).sum(dtype=jnp.int32)
+        reached = ended_at_goal(env, rows).sum(dtype=jnp.int32)
     counts = {}
     if not env.goals.finite:  # A step that diverged is marked invalid, and ends its episode.
         counts["collect/diverged"] = (~rows.valid & rows.truncated).sum(dtype=jnp.int32)
@@ -79,6 +78,13 @@ def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[T
         "collect/valid": rows.valid.mean(dtype=jnp.float32),
         **({} if state.seen is None else {"collect/goals_seen": state.seen.sum(dtype=jnp.int32)}),
     }
+
+
+def ended_at_goal(env: Environment, rows: Trajectories) -> jax.Array:
+    """Whether an episode that no goal ends was at its goal when its time was up, without a failure, bool [R, T]."""
+    led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
+    at_goal = rows.truncated & env.reached(led_to, rows.desired_goal)
+    return at_goal if rows.failed is None else at_goal & ~rows.failed
 
 
 def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> TrainState:

@@ -73,6 +73,8 @@ def under_all_goals(
     goals = jnp.arange(env.goals.num_goals, dtype=jnp.int32) if goals is None else goals
     records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
     reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
+    if batch.failed is not None:
+        discount = discount * (~batch.failed).astype(jnp.float32)[:, None]
     code, target_code = (goal_encoding(setup, given, view_key).of_any()(goals) for given in (params, target_params))
     if parts.config.stop_encoder_gradient:
         code = jax.lax.stop_gradient(code)

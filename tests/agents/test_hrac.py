@@ -13,7 +13,8 @@ from hand_made_points import EPISODE_LENGTH
 
 from infogoal_jax import Hyperparameters, make_train, pairs, replay
 from infogoal_jax.agents.hrac import HRACConfig
-from infogoal_jax.envs.target_states import Cells
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.target_states import Cells, SubgoalEnv, SubgoalState
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
@@ -84,6 +85,17 @@ def test_cells_are_adjacent_once_they_were_k_steps_apart_and_stay_so(train, rows
                         ] = False
         np.testing.assert_array_equal(apart[0], expected)
     assert (apart == apart.transpose(0, 2, 1)).all() and not np.diagonal(apart, axis1=1, axis2=2).any()
+
+
+def test_what_the_low_level_does_not_change_is_that_of_the_task(train):
+    """Every value of an environment: one that was forgotten would have its default."""
+    values = {name for name, value in vars(Environment).items() if not (name.startswith("_") or callable(value))}
+    assert values <= vars(SubgoalEnv).keys()
+    members = {"can_fail": True, "simulated": False, "costly_reset": True, "failed": lambda self, state: state > 1}
+    failing = type("Failing", (type(train.env.env),), members)(**vars(train.env.env))
+    env = train.env.replace(env=failing)
+    assert env.can_fail and not env.simulated and env.costly_reset
+    assert [env.failed(SubgoalState(inner=state, target=None)) for state in (1, 2)] == [False, True]
 
 
 def test_decisions_come_every_k_steps_of_an_episode(rows):

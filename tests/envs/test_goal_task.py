@@ -19,7 +19,9 @@ from infogoal_jax.goals import GoalBox
 from infogoal_jax.loading import reasons_against
 from infogoal_jax.report.runs import RunTable
 from infogoal_jax.report.summary import remarks_on
-from infogoal_jax.train.experience import collect_epoch
+from infogoal_jax.train.episodes import run_episodes
+from infogoal_jax.train.experience import collect_epoch, ended_at_goal
+from infogoal_jax.train.rollout import collect
 
 GOALS = GoalBox.of([0.0, 0.0], [2.0, 2.0], use_of=lambda goal: goal[0] > 1.5)
 
@@ -292,3 +294,27 @@ def test_an_episode_keeps_what_the_task_does_not():
     once = step(states, still)
     twice = step(once, still)
     assert not once.truncated.any() and twice.truncated.all() and (twice.time == 2).all()
+
+
+def test_an_episode_that_fails_at_its_goal_is_no_success():
+    """Where no goal ends an episode. One falls from the square at its goal, the other stays at its own to the end."""
+
+    def begin(self, key):
+        return jnp.ones(2, jnp.float32)
+
+    env = changed(begin=begin, can_fail=True, fails=lambda self, place: place[0] > 1.15)
+    env = env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
+
+    def policy(observation, goal, key):
+        return jnp.where(goal > 1.1, 1.0, 0.0)
+
+    @jax.jit
+    def run(key):
+        starts = jax.vmap(env.reset_to)(jax.random.split(key, 2), jnp.array([[1.3, 1.0], [1.0, 1.0]]))
+        rows = collect(env, starts, policy, key, 4)[1]
+        return run_episodes(env, starts, policy, key), ended_at_goal(env, rows)
+
+    episodes, counted = run(jax.random.key(0))
+    assert episodes.steps.tolist() == [2, 4] and episodes.first_reached.tolist() == [2, 1]
+    assert episodes.success.tolist() == [False, True]
+    assert counted[:, 1].tolist() == [False, False] and counted[1].tolist() == [False, False, False, True]

@@ -125,14 +125,15 @@ def test_an_agent_that_learns_from_means_of_codes_acts_on_them(begun, code):
 
 @pytest.mark.parametrize("goals", [pytest.param(None, marks=pytest.mark.long), jnp.array([6, 0, 6])])
 def test_rewards_are_those_of_each_goal_alone(begun, goals):
-    """As the environment decides, for every goal and transition."""
+    """As the environment decides, for every goal and transition. After a failure nothing follows under any goal."""
     train, state = begun
     env, hyper, params = train.env, train.config.hyper, state.params
     start = jnp.arange(env.num_observations)
     arrived = env.next_node[start, 0]
     count = len(start)
+    failed = start % 3 == 0
     batch = Transitions(
-        start, arrived, jnp.zeros(count, int), None, arrived[:, None], jnp.ones((count, 1)), jnp.zeros(count, bool)
+        start, arrived, jnp.zeros(count, int), None, arrived[:, None], jnp.ones((count, 1)), failed, failed
     )
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
     weight, key = goal_weights(known if goals is None else known[goals]), jax.random.key(1)
@@ -145,7 +146,7 @@ def test_rewards_are_those_of_each_goal_alone(begun, goals):
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)
-        np.testing.assert_allclose(found.discount[:, place], hyper.discount * ~reached)
+        np.testing.assert_allclose(found.discount[:, place], hyper.discount * ~(reached | failed))
         np.testing.assert_allclose(found.weight[place], (goal != 0) / (7 if goals is None else 2))
 
 
