@@ -3,6 +3,7 @@
 import dataclasses
 
 from infogoal_jax import checks, envs
+from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
@@ -61,8 +62,21 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
 
     if preset is None:
         words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
-        preset = dataclasses.replace(plane.preset(words, EPOCHS), agent="dqn" if env.discrete else "td3")
+        preset = within_episodes(plane.preset(words, EPOCHS), env.episode_length)
+        preset = dataclasses.replace(preset, agent="dqn" if env.discrete else "td3")
     check_preset(name, preset)  # Before anything is registered: a task without its preset would stay.
     envs.registry[name] = Entry(config, make, traits=traits)
     setattr(Configurations, name, config)
     registry[name] = preset
+
+
+def within_episodes(preset: Preset, episode_length: int) -> Preset:
+    """The preset with windows and returns that span no more steps than an episode has."""
+    methods = {
+        name: dataclasses.replace(
+            changes, learner=changes.learner | {"window": min(changes.learner["window"], episode_length)}
+        )
+        for name, changes in preset.methods.items()
+    }
+    agents = {"dqn": {"num_steps": episode_length}} if episode_length < DQNConfig.num_steps else {}
+    return dataclasses.replace(preset, methods=methods, agents=preset.agents | agents)

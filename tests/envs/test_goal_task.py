@@ -318,3 +318,10 @@ def test_an_episode_that_fails_at_its_goal_is_no_success():
     assert episodes.steps.tolist() == [2, 4] and episodes.first_reached.tolist() == [2, 1]
     assert episodes.success.tolist() == [False, True]
     assert counted[:, 1].tolist() == [False, False] and counted[1].tolist() == [False, False, False, True]
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_a_task_of_short_episodes_goes_with_the_preset_that_it_is_given(discrete):
+    presets.register(f"short_{discrete}", changed(discrete=discrete).replace(episode_length=1))
+    for method in ("none", "infogoal", "cogoal"):
+        assert not reasons_against(presets.load(f"short_{discrete}", method))
