@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
-from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.parts import Networks, Setup, code_seen, encode_states
+from infogoal_jax.train.parts import Networks, Setup, code_seen, encode_states, goal_encoding
 
 
 def learns_from_costs(relabelling: Relabelling | None) -> bool:
@@ -46,7 +45,7 @@ def with_actor_goals(
 ) -> AgentBatch:
     """The transitions with the actor's goals as codes, and with what lies on the way to them, without gradient."""
     parts, params = setup.parts, jax.lax.stop_gradient(networks.params)
-    encode = GoalEncoding(parts.learner, params["goal"], setup.env.goals, setup.config.batch_size).of_any()
+    encode = goal_encoding(setup, params, networks.view_key).of_any()
     here, last = jax.lax.stop_gradient((batch.features, batch.next_features))
 
     def code_in(number, features, code):
