@@ -139,6 +139,7 @@ def relabelled(
         next_action_mask=legal,
         first_target_features=here,
         first_target_code=goal,
+        at_goal=reached > 0,
         actor=ActorGoals(goal, goal),
     )
 

@@ -117,6 +117,9 @@ class AgentBatch:
     """float32 [B, F] of the first state, by the target encoder, for an agent that learns from costs; None without."""
     first_target_code: jax.Array | None = None
     """float32 [B, d] of the desired goal in the first state, by the target encoder; None without."""
+    at_goal: jax.Array | None = None
+    """bool [B], whether the goal was achieved before the first step, for an agent that learns from costs; None
+    without."""
     actor: ActorGoals | None = None
     """Goals of the actor, without gradient, where the relabelling draws some (`relabelling/mixed.py`)."""
     waypoints: Waypoints | None = None

@@ -117,7 +117,7 @@ def make(config: QRLConfig, env) -> Agent:
         wanted = SPREAD * jax.nn.softplus((FAR - far) / SPREAD)
         too_long = jnp.square(jax.nn.relu(step - 1.0)).mean()
         if not shared:
-            at_goal = (batch.reward == 0).astype(jnp.float32)
+            at_goal = batch.at_goal.astype(jnp.float32)
             wanted = wanted * (1.0 - at_goal)
             too_long += (at_goal * jnp.square(far)).mean()
         loss = wanted.mean() + too_long * jax.lax.stop_gradient(weight)

@@ -283,6 +283,8 @@ def update(
             codes = with_actor_goals(
                 setup, networks, codes, drawn.actor_goal, drawn.waypoints, jax.random.fold_in(key, 6)
             )
+            # By the cost alone: the agent's reward may have an intrinsic part.
+            codes = codes.replace(at_goal=drawn.external[:, 0] == 0)
         seen = LearnerBatch(
             encode,
             env.goals.inputs_of,

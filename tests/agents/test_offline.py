@@ -18,7 +18,8 @@ from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
 from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.learners.none import NoneConfig
 from infogoal_jax.loading import reasons_against
-from infogoal_jax.train.parts import encode_states
+from infogoal_jax.train.costs import with_actor_goals
+from infogoal_jax.train.parts import Networks, encode_states
 
 KEY = jax.random.key(0)
 
@@ -198,6 +199,39 @@ def test_only_costs_teach_it(name):
     assert type(config.relabelling).__name__ == "MixedConfig" and not reasons_against(config)
     against = reasons_against(presets.load("point_maze", "none", agent=name, relabelling="her"))
     assert {refusal.field for refusal in against} == {"relabelling"}
+
+
+def test_qrl_holds_a_state_at_its_goal_whatever_else_is_rewarded():
+    """Which states are at their goal is known, not read off a reward that may have an intrinsic part."""
+    agent, entry = agent_of("qrl", size=8)
+    batch = vector_agents.random_batch()
+    batch = batch.replace(actor=ActorGoals(batch.code, batch.next_code), at_goal=np.arange(len(batch.reward)) < 2)
+    params, state = vector_agents.started(agent)
+
+    @jax.jit
+    def distance_loss(batch):
+        return agent.loss(params, params, batch, state, entry.hyper(), KEY)[1]["distance_loss"]
+
+    found = distance_loss(batch)
+    assert found == distance_loss(batch.replace(reward=batch.reward + 3.0))
+    assert found != distance_loss(batch.replace(at_goal=~batch.at_goal))
+
+
+def test_the_actor_learns_for_goals_as_the_update_varies_them():
+    """RAD's, by the key of the update's view, as the values'."""
+    train = make_train(presets.load("point_maze", "rad", agent="gciql", batch_size=4, buffer_steps=3200), None)
+    shapes = train.state_shapes.params
+    params = jax.tree.map(lambda leaf: np.full(leaf.shape, 0.1, leaf.dtype), shapes)
+    features = np.ones((4, train.config.state_encoder.features), np.float32)
+    batch = vector_agents.random_batch().replace(features=features, next_features=features)
+    goal = train.env.goals.evaluated[:4]
+
+    @jax.jit
+    def codes(view_key):
+        networks = Networks(params, params, view_key)
+        return with_actor_goals(train.setup(), networks, batch, goal, None, KEY).actor.code
+
+    assert not np.array_equal(codes(KEY), codes(jax.random.key(1)))
 
 
 def test_rewards_at_the_goal_are_asked_for_elsewhere():
