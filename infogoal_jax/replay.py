@@ -34,6 +34,9 @@ class Trajectories:
     """bool [R, T], whether the agent chose the action at t. A subgoal holds for several steps."""
     failed: jax.Array | None = None
     """bool [R, T], whether the episode failed with the transition; None where none can."""
+    there: jax.Array | None = None
+    """bool [R, T + 1], whether an observation stands at this place; None where one stands at each. Recorded episodes of
+    several lengths leave places empty, which achieve nothing."""
 
     def episode(self) -> jax.Array:
         """Number of the episode that each observation belongs to, int32 [R, T + 1], counted from 0 in each row."""

@@ -116,13 +116,14 @@ class Episodes:
     @property
     def nbytes(self) -> int:
         """Bytes of the rows that a task makes of them, as they lie in the memory of a device: observations, the goals
-        achieved there, desired goals, actions, and four marks a step. Goals that are not told are states; of images
-        they are left out."""
+        achieved there, desired goals, actions, and four marks a step; with a mark of each place where some are
+        empty. Goals that are not told are states; of images they are left out."""
         seen, action = (array[0].nbytes for array in (self.observations, self.actions))
         goal = 0 if self.observations.dtype == np.uint8 else seen
         goal = goal if self.achieved_goals is None else self.achieved_goals[0].nbytes
         rows = int(self.places()[0][-1]) + 1
-        return rows * (self.width * (seen + goal) + (self.width - 1) * (goal + action + 4))
+        mark = int(rows * self.width > len(self.last))
+        return rows * (self.width * (seen + goal + mark) + (self.width - 1) * (goal + action + 4))
 
 
 def load(path: str | os.PathLike) -> Episodes:

@@ -64,7 +64,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray) -> Trajectori
     """The trajectories of a dataset as rows, each with a random training goal as desired goal: recordings have no
     desired goal of their own.
 
-    Trajectories shorter than the longest are padded with invalid transitions.
+    Trajectories shorter than the longest are padded with invalid transitions, between places that are empty.
     """
     starts = np.flatnonzero(data.time == 0)
     lengths = np.diff(np.append(starts, len(data.time)))
@@ -76,6 +76,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray) -> Trajectori
     action, valid, truncated = np.zeros(shape, np.int32), np.zeros(shape, bool), np.zeros(shape, bool)
     action[row, data.time], valid[row, data.time] = data.action, True
     truncated[np.arange(len(starts)), lengths - 1] = True
+    there = np.arange(shape[1] + 1) <= lengths[:, None]
     goal = np.random.default_rng(0).choice(training, len(starts))
     parts = {
         "observation": observation,
@@ -86,6 +87,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray) -> Trajectori
         "terminated": np.zeros(shape, bool),
         "truncated": truncated,
         "decided": valid,
+        "there": None if there.all() else there,
     }
     return Trajectories(**{name: jax.device_put(part) for name, part in parts.items()})
 

@@ -203,7 +203,7 @@ def rows_of(
     before_last = np.append(last[1:], False) & ~last
     within = (shape[0], shape[1] - 1)
     none = np.zeros(within, bool)
-    valid = laid_out(~last, within)
+    valid, there = laid_out(~last, within), laid_out(np.ones(len(last), bool), shape)
     return Trajectories(
         observation=laid_out(observations, shape),
         record=laid_out(achieved, shape),
@@ -213,4 +213,5 @@ def rows_of(
         terminated=none,
         truncated=laid_out(before_last, within),
         decided=valid,
+        there=None if there.all() else there,
     )

@@ -91,7 +91,7 @@ def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> Tr
     """The state that has seen these rows: goals achieved, pairs that are no longer dissimilar, and what the agent makes
     of them."""
     parts, _, env = setup
-    learner, achieved = parts.learner, env.goals_of(rows.record)
+    learner, achieved = parts.learner, achieved_goals(env, rows)
     state = state.replace(
         agent=parts.agent.observe(state.agent, rows),
         env_steps=state.env_steps + rows.valid.sum(dtype=jnp.int32),
@@ -105,7 +105,7 @@ def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> Tr
     spec = learner.sample_spec
     if not spec.num_pairs or state.dissimilarity is None or spec.radius is not None:
         return state
-    similar = usable_goals(setup, rows.record)
+    similar = usable_goals(setup, achieved_goals(env, rows))
     similar = similar if env.goals.finite else env.goals.cell_of(similar)
     return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), spec.window))
 
@@ -122,10 +122,16 @@ def first_dissimilarity(setup: Setup) -> jax.Array | None:
     return pairs.initial_dissimilarity(goals.num_cells) if by_cells else None
 
 
-def usable_goals(setup: Setup, record: jax.Array) -> jax.Array:
-    """Goals achieved in these records that may be anchors and positives, and that transitions may be relabelled with:
+def achieved_goals(env: Environment, rows: Trajectories) -> jax.Array:
+    """Goals achieved at each place of these rows, [R, T + 1, K, *shape], padded with "no goal"; none at empty
+    places."""
+    goals = env.goals_of(rows.record)
+    return goals if rows.there is None else select(rows.there[..., None], goals, no_goals_like(goals))
+
+
+def usable_goals(setup: Setup, goals: jax.Array) -> jax.Array:
+    """Those of these achieved goals that may be anchors and positives, and that transitions may be relabelled with:
     [..., K, *shape], padded with "no goal"."""
-    goals = setup.env.goals_of(record)
     usable = is_goal(goals) & setup.env.goals.usable(goals, setup.config.known_goals)
     return select(usable, goals, no_goals_like(goals))
 
@@ -143,7 +149,7 @@ def make_experience(setup: Setup, state: TrainState, number: jax.Array) -> tuple
     written = jnp.arange(buffer.valid.shape[0], dtype=jnp.int32) < (
         buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs
     )
-    goals = usable_goals(setup, buffer.record)
+    goals = usable_goals(setup, achieved_goals(env, buffer))
     achieved = is_goal(goals).any(-1) & written[:, None]
     achieved_count = replay.running_count(achieved)
     known, codes = pairs.AchievedGoals(goals, achieved_count), None

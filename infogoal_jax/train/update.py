@@ -78,7 +78,8 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         row, step, desired_goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
     transitions = replay.transitions_at(buffer, row, step, num_steps, desired_goal, ends)
-    drawn = Sample(transitions, external_reward(env, transitions), usable_goals(setup, transitions.records), pairs=None)
+    external = external_reward(env, transitions)
+    drawn = Sample(transitions, external, usable_goals(setup, env.goals_of(transitions.records)), pairs=None)
     if learns_from_costs(relabelling):
         costs_key = jax.random.fold_in(key, 6)
         drawn = drawn.replace(**sample_costs(setup, experience, costs_key, drawn.transitions, row, step))
@@ -116,7 +117,7 @@ def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPa
         keys[0], buffer, experience.achieved, count, spec.num_pairs, spec.window
     )
     records = jax.tree.map(lambda leaf: jnp.stack([leaf[row, first], leaf[row, second]]), buffer.record)
-    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(setup, records))
+    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(setup, env.goals_of(records)))
     # Else the draw has nothing to choose from, and returned a row not written yet.
     any_achieved = count[-1] > 0
     positive_weight = (is_goal(anchor) & is_goal(positive) & any_achieved).astype(jnp.float32)

@@ -144,7 +144,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     batch = jax.jit(lambda rows: replay.transitions_at(rows, row, first, parts.agent.num_steps))(rows)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)
     setup = train.setup(hyper)
-    drawn = Sample(batch, external_reward(env, batch), usable_goals(setup, batch.records), pairs=None)
+    drawn = Sample(batch, external_reward(env, batch), usable_goals(setup, env.goals_of(batch.records)), pairs=None)
     before = InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0))
 
     @jax.jit

@@ -20,7 +20,9 @@ from infogoal_jax.envs.recordings import from_recordings, with_recordings
 from infogoal_jax.replay import Trajectories, steps_left
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.memory import bytes_of
+from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.rollout import collect
+from infogoal_jax.train.update import sample
 
 LENGTHS = (3, 1, 5)
 """Steps of the episodes."""
@@ -532,6 +534,29 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
     goal = jnp.asarray(SIDE[3])
     assert task.reached(goal, goal) and np.array_equal(task.goals.inputs_of(goal), goal)
     assert np.abs(from_recordings(episodes, scaled=True).goals.inputs_of(jnp.asarray(SIDE))).max() <= 1
+
+
+def test_goals_are_drawn_from_recorded_places_alone():
+    """Of episodes of several lengths: what fills their rows is no achieved goal."""
+    ends = np.cumsum([20, 3, 15, 4, 12, 20, 6, 15])
+    seen = np.random.default_rng(0).uniform(5, 6, (ends[-1], 2)).astype(np.float32)
+    task = from_recordings(Episodes(seen, seen - 5, np.isin(np.arange(1, len(seen) + 1), ends)))
+    presets.register("several_lengths", task, presets.OGBENCH)
+    train = make_train(presets.load("several_lengths", "infogoal", agent="gciql", batch_size=256), task)
+
+    @jax.jit
+    def drawn(key, env):
+        setup = train.setup(env=env)
+        experience, _ = make_experience(setup, train.initial(key, train.config.hyper, env), 0)
+        known = experience.known.draw(key, (256,))
+        return experience.achieved_count[-1], known, sample(setup, experience, key)
+
+    count, known, batch = jax.device_get(drawn(jax.random.key(0), train.env))
+    assert task.recorded.valid.shape == (6, 19) and count == len(seen)
+    pairs, places = batch.pairs, {tuple(place) for place in seen.tolist()}
+    negative = pairs.negative[pairs.negative_weight > 0]
+    for goals in (known, batch.transitions.desired_goal, batch.actor_goal, pairs.anchor, pairs.positive, negative):
+        assert {tuple(goal) for goal in goals.tolist()} <= places
 
 
 def test_a_policy_of_minari_s_recordings_acts_between_the_bounds_that_they_had(tmp_path):

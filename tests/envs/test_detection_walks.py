@@ -241,6 +241,35 @@ def test_flights_of_different_lengths():
     assert env.recorded.valid[3].sum() == 5 and int(env.recorded.valid.sum()) == keep.sum()
 
 
+def test_what_no_flight_saw_is_not_achieved():
+    """The places of a row after a shorter flight are no visits to the first image: a goal that is in view there alone
+    stays unseen, and dissimilar to all others."""
+    data = hand_made_frames.shelf()
+    passes_first = np.isin(data.trajectory, data.trajectory[(data.frame == 0) | (data.next_frame == 0)])
+    moves = moves_of(data, ~passes_first & ((data.trajectory % 2 == 0) | (data.time <= 2)))
+    last = np.append(moves["trajectory"][1:] != moves["trajectory"][:-1], True)
+    moves |= {"trajectory": np.unique(moves["trajectory"], return_inverse=True)[1].astype(np.int32), "terminal": last}
+    data = dataclasses.replace(data, **moves)
+    env = from_data(data, hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15))
+    known = np.array(env.achieved_goals)
+    goal = known[0, 0]
+    known[1:][known[1:] == goal] = -1
+    env = env.replace(achieved_goals=jnp.asarray(known))
+    train = make_train(hand_made_frames.qa_config("infogoal"), env)
+
+    @jax.jit
+    def learned_from(env):
+        state = train.initial(jax.random.key(0), train.config.hyper, env)
+        experience, _ = make_experience(train.setup(env=env), state, 0)
+        return state.seen, state.dissimilarity, experience.achieved_count[-1]
+
+    seen, dissimilar, count = jax.device_get(learned_from(env))
+    flown = np.concatenate([data.frame, data.next_frame[last]])
+    assert not env.recorded.valid.all() and count == (known[flown] >= 0).any(1).sum()
+    assert np.array_equal(np.flatnonzero(seen), np.unique(known[flown][known[flown] >= 0]))
+    assert dissimilar[goal].sum() == env.goals.num_goals - 1
+
+
 def test_random_policy_and_shortest_path(env):
     """The oracle answers every question on a shortest path."""
     shortest, drawn = hand_made.shortest_and_random(env, 10)
