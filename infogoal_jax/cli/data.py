@@ -122,7 +122,7 @@ def check(path: Positional[str]) -> int:
             (docs/reference/datasets.md).
 
     Returns:
-        1 if anything is an error.
+        2 if anything is an error.
     """
     from infogoal_jax.data import episodes
 
@@ -146,7 +146,7 @@ def check(path: Positional[str]) -> int:
         from infogoal_jax.data import frames
 
         print_size(path, frames.load(path))
-    return 1 if errors else 0
+    return 2 if errors else 0
 
 
 def import_images(

@@ -226,7 +226,7 @@ def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
     image.write_bytes(image.read_bytes()[:100])
     assert main(["train", "object_search", "--env.dataset", "house"]) == 2
     assert "infogoal data check" in capsys.readouterr().err
-    assert main(["data", "check", "house"]) == 1
+    assert main(["data", "check", "house"]) == 2
     assert re.search(r"house: (1 error|\d+ errors), (1 warning|\d+ warnings)\n", capsys.readouterr().out)
 
 

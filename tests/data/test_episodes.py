@@ -265,7 +265,7 @@ def test_the_command_says_what_is_in_a_file_and_what_it_takes(tmp_path, capsys):
     assert main(["data", "check", str(file)]) == 0
     assert "3 episodes of 1 to 5 steps, 9 in all; observations 2 float32, actions 1; 0.0 MB" in capsys.readouterr().out
     np.savez(file, **recorded(actions=SEEN))
-    assert main(["data", "check", str(file)]) == 1
+    assert main(["data", "check", str(file)]) == 2
     assert "error    " in capsys.readouterr().out
 
 

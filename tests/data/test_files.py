@@ -139,7 +139,7 @@ def test_a_changed_byte_is_found(tmp_path):
 
 
 def test_files_that_cannot_be_read_or_written_are_named(tmp_path, capsys):
-    assert main(["data", "check", str(tmp_path / "nothing.npz")]) == 1
+    assert main(["data", "check", str(tmp_path / "nothing.npz")]) == 2
     assert "no such file; give an npz of `infogoal data import`" in capsys.readouterr().out
     with pytest.raises(UserError, match="no such file; give an npz of `infogoal data import`"):
         frames.load(tmp_path / "nothing.npz")
