@@ -35,6 +35,7 @@ def episodes_of(dataset: Any) -> Episodes:
 
     dataset: of `minari.load_dataset`. Observations are vectors, images uint8 (`as_observations`), or dictionaries: of a
     `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys, or the one image.
+    Goals that are dictionaries, such as those of the kitchen, become vectors in the same way.
     Actions between the bounds of the dataset's space are scaled to lie from -1 to 1, as those of `envs.from_gymnasium`;
     those of a discrete one are moves, from its first on. Raises `UserError` for what cannot be read so.
     """
@@ -49,9 +50,11 @@ def episodes_of(dataset: Any) -> Episodes:
     for observations, actions in recorded:
         is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
         if is_goal_env:
-            for name in ("achieved_goal", "desired_goal"):
-                goals = as_numbers(observations[name], f"{name}s")
-                columns.setdefault(f"{name}s", []).append(goals.astype(np.float32))
+            goals = {f"{name}s": observations[name] for name in ("achieved_goal", "desired_goal")}
+            keys, others = (sorted(each) if isinstance(each, dict) else [] for each in goals.values())
+            require(others == keys, "desired_goals", others, f"give the keys of achieved_goals, {keys}")
+            for name, each in goals.items():
+                columns.setdefault(name, []).append(as_goals(each, name))
             require("observation" in observations, "observations", sorted(observations), "give an `observation` too")
             observations = observations["observation"]
         seen = as_observations(observations)
@@ -87,10 +90,10 @@ def as_observations(observations: Any) -> np.ndarray:
     """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C], which uint8 [T, H, W], [T,
     C, H, W] and stacks of frames [T, K, ...] of these become, those of a stack one behind the other in C."""
     if isinstance(observations, dict):
-        parts = [as_observations(observations[name]) for name in sorted(observations)]
-        remedy = "give vectors, or one image alone, under their keys"
-        require(all(part.ndim == 2 for part in parts) or len(parts) == 1, "observations", sorted(observations), remedy)
-        return np.concatenate(parts, 1) if len(parts) > 1 else parts[0]
+        parts = {name: as_observations(part) for name, part in observations.items()}
+        if len(parts) == 1:
+            return next(iter(parts.values()))
+        return joined(parts, "observations", "give a vector for each step under each key, or one image alone")
     found = as_numbers(observations, "observations")
     if found.dtype != np.uint8 or found.ndim not in (3, 4, 5):
         return found.reshape(len(found), -1).astype(np.float32)
@@ -101,6 +104,23 @@ def as_observations(observations: Any) -> np.ndarray:
     if found.ndim == 4:
         return found
     return np.ascontiguousarray(np.moveaxis(found, 1, -2)).reshape(len(found), *found.shape[2:4], -1)
+
+
+def as_goals(goals: Any, field: str) -> np.ndarray:
+    """The goals of an episode, float32 [T, D]: vectors, or a dictionary of them, such as one for each thing to do."""
+    if not isinstance(goals, dict):
+        return as_numbers(goals, field).astype(np.float32)
+    parts = {name: as_numbers(part, f"{field}[{name!r}]") for name, part in goals.items()}
+    return joined(parts, field, "give a vector for each step under each key").astype(np.float32)
+
+
+def joined(parts: dict[str, np.ndarray], field: str, remedy: str) -> np.ndarray:
+    """The vectors [T, F] under each key one behind the other, in the order of the keys, as `gymnasium.spaces.flatten`
+    has those of a `Dict`. Raises `UserError` for others."""
+    shapes = {name: list(parts[name].shape) for name in sorted(parts)}
+    is_vectors = all(len(shape) == 2 for shape in shapes.values())
+    require(is_vectors and len({shape[0] for shape in shapes.values()}) == 1, field, shapes, remedy)
+    return np.concatenate([parts[name] for name in shapes], 1)
 
 
 def as_numbers(values: Any, field: str) -> np.ndarray:

@@ -7,11 +7,11 @@ import importlib.util
 import sys
 from types import SimpleNamespace
 
-import gymnasium
 import hand_made
 import jax
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from infogoal_jax.bridges.minari import episodes_of, import_minari, to_minari
 from infogoal_jax.cli.main import main
@@ -113,12 +113,53 @@ def test_a_folder_that_cannot_be_minari_s_is_one_line_and_nothing_is_touched(tmp
 
 
 def test_actions_are_scaled_by_the_bounds_of_their_space():
-    space = gymnasium.spaces.Box(np.array([0.0, -0.2]), np.array([3.0, 0.2]), dtype=np.float64)
+    space = spaces.Box(np.array([0.0, -0.2]), np.array([3.0, 0.2]), dtype=np.float64)
     episode = SimpleNamespace(observations=np.zeros((4, 1)), actions=np.array([[0.0, 0.2], [3.0, -0.1], [1.5, 0.0]]))
     recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [episode])
     expected = [[-1.0, 1.0], [1.0, -0.5], [0.0, 0.0], [0.0, 0.0]]
     np.testing.assert_allclose(episodes_of(recorded).actions, expected, atol=1e-7)
-    space = gymnasium.spaces.Box(-np.inf, np.inf, (2,))
+    space = spaces.Box(-np.inf, np.inf, (2,))
     recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [SimpleNamespace(**vars(episode))])
     with pytest.raises(UserError, match="rows go beyond -1 to 1"):
         episodes_of(recorded)
+
+
+THINGS = spaces.Dict({"microwave": spaces.Box(-1, 1, (1,)), "kettle": spaces.Box(-1, 1, (2,))})
+KITCHEN = spaces.Dict({"observation": spaces.Box(-1, 1, (3,)), "achieved_goal": THINGS, "desired_goal": THINGS})
+ACTIONS = np.array([[0.5], [-0.5], [1.0]])
+
+
+def as_it_is(observations):
+    """An episode as Minari hands it out."""
+    return SimpleNamespace(iterate_episodes=lambda: [SimpleNamespace(observations=observations, actions=ACTIONS)])
+
+
+def kept_by_minari(observations):
+    """The same from a dataset of Minari."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    last = np.arange(3) == 2
+    minari.create_dataset_from_buffers(
+        "kitchen-v0",
+        [EpisodeBuffer(None, None, None, observations, ACTIONS, np.zeros(3), last, last)],
+        observation_space=KITCHEN,
+        action_space=spaces.Box(-1, 1, (1,), np.float64),
+        jpeg_encoding=False,
+    )
+    return minari.load_dataset("kitchen-v0")
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning:minari")  # A test has no author, address or registered environment.
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Of Minari's own folder.
+@pytest.mark.parametrize("recorded", [as_it_is, pytest.param(kept_by_minari, marks=needs_minari)])
+def test_goals_that_are_dictionaries_become_vectors_as_in_gymnasium(recorded, tmp_path, monkeypatch):
+    """A goal for each thing to do, as in the kitchen."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    KITCHEN.seed(0)
+    steps = [KITCHEN.sample() for _ in range(4)]
+    episodes = episodes_of(recorded(jax.tree.map(lambda *each: np.stack(each), *steps)))
+    for name in ("achieved_goal", "desired_goal"):
+        flat = np.stack([spaces.flatten(THINGS, step[name]) for step in steps])
+        np.testing.assert_array_equal(getattr(episodes, f"{name}s"), flat)
+    np.testing.assert_array_equal(episodes.observations, [step["observation"] for step in steps])

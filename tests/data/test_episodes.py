@@ -323,6 +323,9 @@ def test_recorded_moves_are_learned_from(tmp_path):
         make_train(presets.load("recorded_moves", "none", **sizes), task)
 
 
+GOALS = "achieved_goal", "desired_goal"
+
+
 def of_minari(make_observations, actions=None) -> Episodes:
     """What is read of a dataset of Minari with two episodes, of 2 and 4 steps. make_observations: (steps) -> those of
     an episode."""
@@ -414,17 +417,42 @@ def test_minari_s_moves_begin_at_0():
             "actions = [3]: give a move for each",
         ),
         (lambda steps: numbers(steps, steps), None, "episodes of different shapes"),
-        (lambda steps: {"a": numbers(steps, 8, 8, 3).astype(np.uint8), "b": numbers(steps, 2)}, None, "give vectors"),
+        (
+            lambda steps: {"a": numbers(steps, 8, 8, 3).astype(np.uint8), "b": numbers(steps, 2)},
+            None,
+            "observations = {'a': [3, 8, 8, 3], 'b': [3, 2]}: give a vector for each step under each key, or one image",
+        ),
+        (
+            lambda steps: {"a": numbers(steps, 2), "b": numbers(steps + 1, 2)},
+            None,
+            "observations = {'a': [3, 2], 'b': [4, 2]}: give a vector",
+        ),
+        (lambda steps: {}, None, "observations = {}: give a vector"),
+        (
+            lambda steps: {key: {"door": numbers(steps, 8, 8), "kettle": numbers(steps, 2)} for key in GOALS},
+            None,
+            "achieved_goals = {'door': [3, 8, 8], 'kettle': [3, 2]}: give a vector for each step under each key",
+        ),
+        (
+            lambda steps: dict(zip(GOALS, ({"kettle": 0}, {"door": 0}), strict=True)),
+            None,
+            "desired_goals = ['door']: give the keys of achieved_goals, ['kettle']",
+        ),
+        (
+            lambda steps: {key: {"kettle": np.array(["on"] * (steps + 1))} for key in GOALS},
+            None,
+            "achieved_goals['kettle'] = '<U2': give numbers",
+        ),
         (lambda steps: np.array(["text"] * (steps + 1)), None, "observations = '<U4': give numbers"),
         (lambda steps: [[0.0], [0.0, 0.0]] * steps, None, "observations: give an array, not list of several shapes"),
         (lambda steps: numbers(steps, 3), lambda steps: {"a": 0}, "actions = 'object': give numbers"),
-        (lambda steps: {"achieved_goal": 0, "desired_goal": 0}, None, "achieved_goals = 'int64': give numbers"),
+        (lambda steps: dict.fromkeys(GOALS, 0), None, "achieved_goals = 'int64': give numbers"),
     ],
 )
 def test_what_cannot_be_read_of_minari_is_one_line(make_observations, actions, said):
     with pytest.raises(UserError) as refused:
         of_minari(make_observations, actions)
-    assert said in str(refused.value)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
 @functools.cache
