@@ -15,6 +15,7 @@ import pytest
 from infogoal_jax import UserError, envs, make_train, presets, replay
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.bridges.brax import Env, State
+from infogoal_jax.envs import adapters, named
 from infogoal_jax.envs.adapters import import_jaxgcrl
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.replay import Trajectories
@@ -85,14 +86,38 @@ def test_every_episode_has_a_goal_and_a_start_of_its_own():
     assert np.unique(goals).size == goals.size == np.unique(places).size == 16
 
 
+def line_of_brax():
+    """The line, brax's training wrappers, and the task."""
+    return Line(), wrappers.wrap, line_task()
+
+
+def reacher_of_playground():
+    """Playground's reacher, its training wrappers, and the task."""
+    skip_without("mujoco_playground")
+    env = adapters.playground_environment("ReacherEasy", {})
+    own = named.PLAYGROUND["ReacherEasy"](env) | {"episode_length": EPISODE, "ends_at_goal": False, "goals_drawn": 2}
+    wrap = importlib.import_module("mujoco_playground").wrapper.wrap_for_brax_training
+    return env, wrap, envs.from_playground(env, **own)
+
+
 @pytest.mark.long
-def test_their_wrapper_has_one_goal_and_one_start_for_all_episodes():
-    wrapped = wrappers.wrap(Line(), episode_length=EPISODE)
-    states = [jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 4))]
+@pytest.mark.filterwarnings("ignore")  # Of packages that ask for others' older versions.
+@pytest.mark.parametrize("library", [line_of_brax, reacher_of_playground])
+def test_their_wrappers_cache_one_goal_and_start_and_ours_are_drawn_in_every_episode(library):
+    """Where each of five episodes begins, in four environments."""
+    env, wrap, task = library()
+    wrapped, action = wrap(env, episode_length=EPISODE), jnp.zeros((4, task.action_size))
+    states, step = [jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 4))], jax.jit(wrapped.step)
     for _ in range(4 * EPISODE):
-        states.append(jax.jit(wrapped.step)(states[-1], jnp.zeros((4, 1))))
+        states.append(step(states[-1], action))
     begun = [states[0], *(state for state in states if state.done.all())]
-    assert len(begun) == 5 and all(np.array_equal(state.obs["goal"], begun[0].obs["goal"]) for state in begun)
+    read = jax.jit(jax.vmap(lambda state: (task.read_goal(state), task.observation(state))))
+    for theirs in zip(*map(read, begun), strict=True):
+        assert len(theirs) == 5 and all(np.array_equal(each, theirs[0]) for each in theirs)
+    rows = walk(task, lambda *given: action, 5 * (EPISODE + 1))
+    for ours in (rows.desired_goal, rows.observation):
+        first = np.asarray(ours)[:, : 5 * (EPISODE + 1) : EPISODE + 1].reshape(20, -1)
+        assert len(np.unique(first, axis=0)) == 20
 
 
 def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leaves():
