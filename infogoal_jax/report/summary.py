@@ -61,10 +61,12 @@ CONTINUOUS = {"collect/diverged", "collect/nothing_achieved"}
 """Metrics of a task with continuous goals."""
 
 
-def remarks_on(epochs: RunTable) -> list[str]:
-    """A sentence for each thing in the epochs of a run that tells of a mistake in its task."""
+def remarks_on(epochs: RunTable, evaluations: RunTable) -> list[str]:
+    """A sentence for each thing in the epochs of a run that tells of a mistake in its task. A run may be too short for
+    an episode of training to end, and succeed where it is evaluated."""
     found, values = [], epochs.values
-    if "collect/success_rate" in values and not values["collect/success_rate"].any():
+    rates = [rate for name, rate in {**values, **evaluations.values}.items() if name.endswith("/success_rate")]
+    if "collect/success_rate" in values and not any(rate.any() for rate in rates):
         found.append(
             "no episode of training reached its goal: more steps may be needed, or `reached` is never true of a goal "
             "that is desired"
@@ -184,7 +186,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     else:
         reason = "every seed diverged" if diverged else "no evaluation is whole"
         say(console, f"{head}: no numbers; {reason}", style="bold")
-    for sentence in diverged_in_words(diverged) + remarks_on(epochs):
+    for sentence in diverged_in_words(diverged) + remarks_on(epochs, evaluations):
         say(console, sentence, style="bold red")
     known = {
         "train": "training goals",

@@ -240,23 +240,28 @@ def test_a_sampler_of_one_goal_is_refused():
         check_goals(Square(goals))
 
 
+NOT_EVALUATED = RunTable([0], np.arange(0), {})
+
+
 def test_a_report_names_seeds_whose_codes_are_no_bottleneck():
     """Beta of the second seed is 0 to the end while its KL grows; that of the third is too, but it does not."""
     beta = np.array([0.01, 0.0, 0.0])[:, None] * np.ones((3, 20))
     kl = np.stack([np.full(20, 9.0), np.linspace(10, 1400, 20), np.linspace(50, 40, 20)])
-    (said,) = remarks_on(RunTable([4, 5, 6], np.arange(20), {"infogoal/beta": beta, "infogoal/kl": kl}))
+    (said,) = remarks_on(RunTable([4, 5, 6], np.arange(20), {"infogoal/beta": beta, "infogoal/kl": kl}), NOT_EVALUATED)
     assert "in 1 seed (5)" in said and "--hyper.learner.beta-floor" in said
     early = {"infogoal/beta": beta[:, :19], "infogoal/kl": kl[:, :19]}
-    assert not remarks_on(RunTable([4, 5, 6], np.arange(19), early))
+    assert not remarks_on(RunTable([4, 5, 6], np.arange(19), early), NOT_EVALUATED)
 
 
 def test_a_report_says_what_epochs_tell_of_a_task():
     never = RunTable([0], np.arange(2), {"collect/success_rate": np.zeros((1, 2)), "collect/diverged": np.ones((1, 2))})
-    first, second = remarks_on(never)
+    first, second = remarks_on(never, NOT_EVALUATED)
     assert "no episode of training reached its goal" in first and second.startswith("2 steps of training")
-    assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}))
+    assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}), NOT_EVALUATED)
+    evaluated = RunTable([0], np.arange(1), {"train_goal/success_rate": np.full((1, 1), 0.1)})
+    assert len(remarks_on(never, evaluated)) == 1  # No episode of training ended yet.
     nothing = {"collect/diverged": np.zeros((1, 2)), "collect/nothing_achieved": np.array([[0.5, 0.0]])}
-    (said,) = remarks_on(RunTable([0], np.arange(2), nothing))
+    (said,) = remarks_on(RunTable([0], np.arange(2), nothing), NOT_EVALUATED)
     assert said == "25.00% of the steps of training achieved no goal: `achieved_goal` was NaN"
 
 
