@@ -184,7 +184,7 @@ def import_minari(name: Positional[str], out: str) -> int:
     """Make an npz of recorded episodes of a dataset of Minari (needs the extra `minari`).
 
     Args:
-        name: Of the dataset, such as pointmaze/umaze-v2; `minari download NAME` fetches it.
+        name: Of the dataset, such as D4RL/pointmaze/umaze-v2; `minari download NAME` fetches it.
         out: File to write, an npz that --env.dataset takes.
     """
     from infogoal_jax.bridges import minari

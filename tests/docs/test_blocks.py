@@ -16,7 +16,10 @@ from places import ROOT, forgotten
 
 import infogoal_jax.bridges.brax  # noqa: F401  Before brax, which then warns of nothing.
 from infogoal_jax import presets
+from infogoal_jax.bridges.minari import to_minari
 from infogoal_jax.cli.main import main
+from infogoal_jax.data.episodes import Episodes, save
+from infogoal_jax.envs.adapters import is_there
 
 PAGES = {words.README.name: words.README} | {page.name: page for page in words.pages("start", "guides")}
 TOY = {
@@ -34,6 +37,8 @@ SMALLER = (
     ("--num-epochs 200", "--num-epochs 2"),
     ("--small --seeds 2", "--small --seeds 2 --num-epochs 1"),
     ("--num-epochs 100", "--num-epochs 2"),
+    ("--num-epochs 10", "--num-epochs 1"),
+    ("--num-epochs 2 --epochs-per-evaluation 2 --updates-per-epoch 1000", "--num-epochs 1"),
     ("--num-epochs 20 ", "--num-epochs 1 "),
     ("num_epochs=20", "num_epochs=1"),
     ("object_search --seeds 16", "object_search --seeds 2"),
@@ -71,13 +76,19 @@ NOT_RUN = {
     r"--env.questions mine.json": "needs the reader's questions; data/test_laboratory.py has some",
     r"^drone.md: infogoal data check": "the same; the dataset is what was recorded",
     r"--env.dataset grid.npz": "needs more poses than the page has; data/test_laboratory.py has some",
-    r"PATH": "needs the Active Vision Dataset; data/test_active_vision.py has one of its form",
-    r"gymnasium:Fetch": "needs Gymnasium-Robotics; envs/test_live.py trains on it where it is installed",
+    r"^minari download": "needs the network; the dataset is made here",
     r"^infogoal reproduce goal-images": "needs OpenGL and Gymnasium-Robotics",
     r"^infogoal reproduce (all|table1|all_goals) (--quick|--tasks|--out)": "trains for hours; paper/test_command.py",
     r"^infogoal reproduce (table1 --known|merge|all --from docs/results --out docs/results)": "paper/test_command.py",
 }
 """Lines, or lines of a page, and why they are not run here."""
+NEEDS = {
+    r"gymnasium:Fetch": "gymnasium_robotics",
+    r"playground:": "mujoco_playground",
+    r"jaxgcrl:": "jaxgcrl",
+    r"import-minari|ogbench:walks": "minari",
+}
+"""Lines that are not run with their page, but where a package is installed."""
 STATUS = {"infogoal methods fetch_push her --agent dqn": 1}
 """What a line says by its exit status: this combination does not work."""
 MINE = "my_task", "my_learner", "my_agent"
@@ -98,7 +109,8 @@ def lines_of(block: str) -> list[str]:
 def why_not(page: str, line: str) -> str:
     """Why a line of a page is not run, or nothing."""
     lines = line, f"{page}: {line}"
-    return next((why for pattern, why in NOT_RUN.items() if any(re.search(pattern, line) for line in lines)), "")
+    reasons = NOT_RUN | {pattern: f"needs {package}; run apart" for pattern, package in NEEDS.items()}
+    return next((why for pattern, why in reasons.items() if any(re.search(pattern, line) for line in lines)), "")
 
 
 def here(text: str) -> str:
@@ -133,10 +145,20 @@ def toy_runs(toy_presets, tmp_path_factory, reach_run) -> Path:
 
 @pytest.fixture
 def reader(toy_runs, tmp_path, monkeypatch) -> Iterator[Path]:
-    """A reader's folder, with those runs and an exported policy in it."""
+    """A reader's folder, with those runs and an exported policy in it, who has downloaded a dataset of OGBench."""
     shutil.copytree(toy_runs, tmp_path, dirs_exist_ok=True)
+    downloaded = tmp_path / ".ogbench" / "data" / "pointmaze-medium-navigate-v0.npz"
+    downloaded.parent.mkdir(parents=True)
+    save(downloaded, walks())
+    monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     yield tmp_path
+
+
+def walks() -> Episodes:
+    """Three episodes of 20 observations of a point."""
+    seen = np.random.default_rng(0).uniform(-1, 1, (60, 2)).astype(np.float32)
+    return Episodes(seen, seen, np.arange(60) % 20 == 19)
 
 
 def write_photos(table: str, name: str) -> None:
@@ -178,7 +200,7 @@ def test_a_reason_is_there_for_lines_of_pages():
         for line in lines_of(block)
         for start in ("", f"{name}: ")
     ]
-    assert not [pattern for pattern in NOT_RUN if not any(re.search(pattern, line) for line in typed)]
+    assert not [pattern for pattern in (*NOT_RUN, *NEEDS) if not any(re.search(pattern, line) for line in typed)]
     text = "".join(page.read_text() for page in PAGES.values())
     assert not [old for old, _ in SMALLER + OTHERWISE if old not in text]
 
@@ -201,3 +223,19 @@ def test_what_a_page_says_to_type_runs(page, reader, capsys):
                     play_line(line)
     if page == "README.md":
         assert names["result"].metrics["train_goal/success_rate"].shape == (4, 1)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # Of packages that ask for others' older versions.
+@pytest.mark.parametrize("pattern", NEEDS)
+def test_lines_for_another_library_run_where_it_is_installed(pattern, reader, monkeypatch):
+    if not is_there(NEEDS[pattern]):
+        pytest.skip(f"{NEEDS[pattern]} is not installed")
+    if NEEDS[pattern] == "minari":
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(reader / "minari"))
+        (reader / "minari/D4RL/pointmaze").mkdir(parents=True)
+        to_minari(walks(), reader / "minari/D4RL/pointmaze/umaze-v2")
+    consoles = [block for page in PAGES.values() for kind, block in blocks_of(page) if kind == "console"]
+    for line in (line for block in consoles for line in lines_of(block)):
+        if re.search(pattern, line):
+            play_line(line)
