@@ -77,6 +77,7 @@ NOT_RUN = {
     r"^drone.md: infogoal data check": "the same; the dataset is what was recorded",
     r"--env.dataset grid.npz": "needs more poses than the page has; data/test_laboratory.py has some",
     r"^minari download": "needs the network; the dataset is made here",
+    r"PATH": "needs the Active Vision Dataset; data/test_active_vision.py has one of its form",
     r"^infogoal reproduce goal-images": "needs OpenGL and Gymnasium-Robotics",
     r"^infogoal reproduce (all|table1|all_goals) (--quick|--tasks|--out)": "trains for hours; paper/test_command.py",
     r"^infogoal reproduce (table1 --known|merge|all --from docs/results --out docs/results)": "paper/test_command.py",
