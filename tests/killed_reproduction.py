@@ -25,7 +25,7 @@ FEW = 20_000
 """Weights of the small program."""
 LOG = "log"
 SLOW = "slow"
-"""A file beside it: where it is, an evaluation takes a second."""
+"""A file beside it: where it is, an evaluation takes a second, and no second one comes before two workers had one."""
 
 
 def runs(count: int = 3) -> list[Run]:
@@ -61,9 +61,9 @@ def counted_train(config, env=None):
 
 @contextlib.contextmanager
 def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
-    """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished. judge: what is
-    measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted; keeping: seconds from one
-    checkpoint to the next, 0: one after each evaluation."""
+    """Inside, runs are small, and FOLDER/log names every run that was begun, every evaluation and every run that was
+    finished. judge: what is measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted; keeping:
+    seconds from one checkpoint to the next, 0: one after each evaluation."""
 
     def logged(words: str) -> None:
         with open(folder / LOG, "a") as file:
@@ -75,8 +75,12 @@ def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
         return whole_begin(batch)
 
     def advance(members):
-        time.sleep((folder / SLOW).exists())
+        if (folder / SLOW).exists():
+            while {str(os.getpid())} == {line.split()[2] for line in lines_of(folder, "evaluated")}:
+                time.sleep(0.02)
+            time.sleep(1)
         whole_advance(members)
+        logged("evaluated program")
 
     def save(folder, result):
         new = not files.path_of(folder, result.run).exists()
@@ -132,10 +136,15 @@ def prepare_worker() -> None:
     for_good.enter_context(small_programs(Path(os.environ["LOG_IN"])))
 
 
+def lines_of(folder: Path, what: str) -> list[str]:
+    """Lines of the log that tell what was `begun`, `evaluated` or `finished`: that word, its name, the process."""
+    lines = (folder / LOG).read_text().splitlines() if (folder / LOG).exists() else []
+    return [line for line in lines if line.startswith(what)]
+
+
 def log_of(folder: Path, what: str) -> list[str]:
     """Names of the runs that were `begun` or `finished`, in order."""
-    lines = (folder / LOG).read_text().splitlines() if (folder / LOG).exists() else []
-    return [line.split()[1] for line in lines if line.startswith(what)]
+    return [line.split()[1] for line in lines_of(folder, what)]
 
 
 def child(folder: str, count: int) -> None:

@@ -12,7 +12,7 @@ import time
 import killed_reproduction
 import numpy as np
 import pytest
-from killed_reproduction import LOG, log_of, reproduce, runs
+from killed_reproduction import lines_of, log_of, reproduce, runs
 from two_machines import cluster_of_two
 
 from infogoal_jax.cli.main import main
@@ -57,8 +57,7 @@ def cluster(tmp_path):
 
 def processes_of(folder, what: str) -> dict[str, int]:
     """The process that last began or finished each run."""
-    lines = (folder / LOG).read_text().splitlines() if (folder / LOG).exists() else []
-    return {name: int(process) for kind, name, process in map(str.split, lines) if kind == what}
+    return {name: int(process) for _, name, process in map(str.split, lines_of(folder, what))}
 
 
 def kill_in_the_middle(folder) -> None:
