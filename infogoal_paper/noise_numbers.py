@@ -47,14 +47,17 @@ EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
 SEEDS = 5
 TASKS = {
     "object_search": (7, 8, 9, tuning.SEED),
-    "fetch_reach": (0,),
+    "fetch_reach": (7, 8, 9),
     "embodied_qa": (7, 8, 9),
-    "fetch_push": (0,),
-    "fetch_pick_and_place": (0,),
+    "fetch_push": (7, 8, 9),
+    "fetch_pick_and_place": (7, 8, 9),
     "object_manipulation": (7, 8, 9),
 }
-"""The tasks, with their data sets: ones that no choice has seen, but for Fetch, which has the shipped goals. Houses
-have no validation goals, but the one of the tuning, which is not shown: it stands in for theirs."""
+"""The tasks, with their data sets: ones that no choice has seen. Houses have no validation goals, but the one of the
+tuning, which is not shown: it stands in for theirs."""
+SHOWN = {task: f"{task}+unseen" if task in FETCH else task for task in TASKS}
+"""By whose names the rows of presets go on each task; those of Fetch on its shipped goals, which choices have seen, go
+by the task's own."""
 METHODS = {
     "infogoal": "InfoGoal",
     "infogoal+her": "InfoGoal + HER",
@@ -88,11 +91,11 @@ HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetc
 """The same on Fetch, where no test goal is achieved in training."""
 HELD_OUT_SHELF, HELD_OUT_HRAC = "embodied_qa+cql+held_out", "object_manipulation+hrac+held_out"
 """The same on the shelf, which recorded flights show, and on the cube under HRAC."""
+ON_SHIPPED_GOALS = ("fetch_reach", "fetch_pick_and_place")
+"""Where presets are run on the shipped goals, too, on which the paper is read in other ways."""
 HELD_OUT_BESIDE = (*HELD_OUT_FETCH, HELD_OUT_SHELF, HELD_OUT_HRAC)
 ELSEWHERE = {(task, "infogoal+all_goals") for task in ("fetch_reach", "fetch_pick_and_place", "object_manipulation")}
 """What the studies of held-out goals show instead."""
-UNSEEN_FETCH = {task: f"{task}+unseen" for task in FETCH}
-"""Fetch on goal sets that no choice has seen."""
 CUBE_AGAIN = "object_manipulation+again"
 """The cube with settings that were chosen again."""
 SEARCHING = "object_search+searching"
@@ -100,18 +103,21 @@ SEARCHING = "object_search+searching"
 FIRST_TRIALS = "object_search+small"
 """Object search with the small preset's floats, for as many epochs."""
 CHOSEN_AGAIN = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher")
-"""Methods whose floats are chosen again on Fetch and the cube, in order."""
+"""Methods whose floats are chosen again on Fetch, in order; on the cube InfoGoal alone stays at the floor."""
+READ_METHODS = ("infogoal", "infogoal+her", "infobot+her", "her", "none")
+"""Methods of which the paper is read in other ways, in order."""
 SEARCHERS = ("none", "her", "infogoal", "infobot", "infogoal+her", "infobot+her")
 """Methods that are given a memory."""
 BESIDE = {
     **{
-        unseen: (
+        SHOWN[task]: (
             *(method for method in METHODS if (task, method) not in ELSEWHERE),
             *(f"{method}@clean" for method in CHOSEN_AGAIN),
         )
-        for task, unseen in UNSEEN_FETCH.items()
+        for task in FETCH
     },
-    CUBE_AGAIN: tuple(f"{method}@clean" for method in CHOSEN_AGAIN),
+    **dict.fromkeys(ON_SHIPPED_GOALS, READ_METHODS),
+    CUBE_AGAIN: tuple(f"{method}@clean" for method in CHOSEN_AGAIN if method != "infogoal"),
     FIRST_TRIALS: ("infogoal", "her"),
     SEARCHING: (
         *(f"{method}@memory" for method in SEARCHERS),
@@ -176,11 +182,13 @@ FLOATS = {
 }
 """Floats that differ from the preset. Both small weights reach more validation goals than 1 on the cube of seed 7."""
 DATA_SETS = (
-    TASKS
+    {SHOWN[task]: data_sets for task, data_sets in TASKS.items()}
+    | dict.fromkeys(ON_SHIPPED_GOALS, (0,))
     | {HELD_OUT: (8, 9, 10)}
     | dict.fromkeys(HELD_OUT_FETCH, (0,))
-    | dict.fromkeys((*UNSEEN_FETCH.values(), CUBE_AGAIN), (7, 8, 9))
-    | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
+    | {CUBE_AGAIN: (7, 8, 9)}
+    | dict.fromkeys(READ, (0,))
+    | {"object_search+read": TASKS["object_search"], "object_manipulation+read": (7,), "embodied_qa+read": (7, 8, 9)}
     | dict.fromkeys((FIRST_TRIALS, SEARCHING), TASKS["object_search"])
     | {HELD_OUT_SHELF: (7, 8, 9), HELD_OUT_HRAC: (8, 9, 10)}
 )
@@ -277,8 +285,7 @@ TITLES = {
     HELD_OUT_FETCH[0]: "FetchReach, held out",
     HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
-TITLES |= {task: TITLES[task.partition("+")[0]] for task in (*READ, CUBE_AGAIN)} | {
-    **{unseen: f"{TITLES[task]}, unseen goal sets" for task, unseen in UNSEEN_FETCH.items()},
+TITLES |= {task: TITLES[task.partition("+")[0]] for task in (*SHOWN.values(), *READ, CUBE_AGAIN)} | {
     FIRST_TRIALS: "object search, small",
     HELD_OUT_SHELF: "questions, held out",
     HELD_OUT_HRAC: "cube under HRAC, held out",
@@ -288,9 +295,11 @@ SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
-CLEAN_PAIRS = dict.fromkeys(
-    (*FETCH, "object_manipulation"), (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))
-) | {"object_search": PAIRS, "embodied_qa": (*PAIRS, ("infogoal", "rad"))}
+CLEAN_PAIRS = dict.fromkeys(FETCH, (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))) | {
+    "object_search": PAIRS,
+    "object_manipulation": (("infogoal+her", "her"), ("infogoal+her", "infobot+her")),
+    "embodied_qa": (*PAIRS, ("infogoal", "rad")),
+}
 """And where settings were chosen again, on data that no choice has seen."""
 CARRYING_PAIRS = (
     *(("infogoal+all_goals", method) for method in CARRYING if method != "infogoal+all_goals"),
@@ -407,7 +416,8 @@ def success_table(numbers: Numbers) -> str:
     columns = [(task, "test") for task in TASKS] + [(task, "corrupted_test") for task in images]
 
     rows = [
-        [title, *(three_of(numbers, task, kind, method) for task, kind in columns)] for method, title in METHODS.items()
+        [title, *(three_of(numbers, SHOWN[task], kind, method) for task, kind in columns)]
+        for method, title in METHODS.items()
     ]
     return markdown_lines(["method", *(goals_of(task, kind) for task, kind in columns)], rows)
 
@@ -457,16 +467,19 @@ def is_first(numbers: Numbers, task: str, kind: str, reading: str, rule: str) ->
     own = {
         method: f"{method}+her" if reading == "text" and method in RELABELLED else method for method in PAPER_METHODS
     }
-    found = []
+    found, shown = [], SHOWN[task]
     for method, label in own.items():
         if method == "infogoal":
             continue
-        if not (numbers.has(task, label) and numbers.has(task, own["infogoal"])):
+        if not (numbers.has(shown, label) and numbers.has(shown, own["infogoal"])):
             found.append(claims.Finding(None, PAPER_METHODS[method]))
             continue
         first, second = (
             numbers.success(
-                task, each, numbers.best(task, each) if rule == "best" else float(rule), kind=kind.removesuffix("_goal")
+                shown,
+                each,
+                numbers.best(shown, each) if rule == "best" else float(rule),
+                kind=kind.removesuffix("_goal"),
             )
             for each in (own["infogoal"], label)
         )
@@ -542,12 +555,12 @@ def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning
     return {method: searches[name] for method, name in named.items() if name in searches}
 
 
-PRESETS_OF = {task: UNSEEN_FETCH.get(task, task) for task in TASKS}
-CHOSEN_OF = {"object_search": "object_search+read", "embodied_qa": "embodied_qa+read"} | {
-    **UNSEEN_FETCH,
+CHOSEN_OF = SHOWN | {
+    "object_search": "object_search+read",
+    "embodied_qa": "embodied_qa+read",
     "object_manipulation": CUBE_AGAIN,
 }
-"""By whose names the rows go of presets, and of floats that were chosen again, on each task."""
+"""By whose names the rows go of floats that were chosen again, on each task."""
 ENDINGS = {
     "object_search": "",
     "fetch_reach": "_reach",
@@ -564,6 +577,13 @@ def again(task: str, method: str) -> tuple[str, str]:
     return CHOSEN_OF[task], f"{method}@clean"
 
 
+def on_both(rows: Sequence[Row], numbers: Numbers, task: str) -> list[Row]:
+    """The rows of presets and of clean choices on a task, of data sets on which all of both were run."""
+    names = SHOWN[task], CHOSEN_OF[task]
+    data_sets = set.intersection(*(numbers.shared_sets[name] for name in names))
+    return [row for row in rows if row["task"] in names and int(row["data_set"]) in data_sets]
+
+
 def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
     """A row for each method whose settings were chosen again on a task: success of the preset and of what was chosen,
     on validation goals in the final, and on test goals, each at its own best noise. Methods on the floor with both are
@@ -575,7 +595,7 @@ def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search])
         if max(validation) < FLOOR:
             low[METHODS[method]] = max(validation)
             continue
-        runs = [run for run in ((PRESETS_OF[task], method), again(task, method)) if numbers.has(*run)]
+        runs = [run for run in ((SHOWN[task], method), again(task, method)) if numbers.has(*run)]
         cells = [
             "→".join(f"{np.mean(found):.2f}" for run in runs if (found := reached_at_best(numbers, *run, kind)))
             for kind in kinds_of(task)
@@ -612,7 +632,7 @@ def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Se
         for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
             row.append(signed(paired_difference(*(take(found[method])["success"][-1] for method in pair))))
         for kind_and_rule in shown.values():
-            row.append(signed(difference(numbers, PRESETS_OF[task], pair, *kind_and_rule)))
+            row.append(signed(difference(numbers, SHOWN[task], pair, *kind_and_rule)))
             row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), *kind_and_rule)))
         rows.append(row)
     heads = [f"{words}, {whose}" for words in ("validation", *shown) for whose in ("presets", "chosen")]
@@ -699,10 +719,6 @@ def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
     epsilons = 0.0, SAME, numbers.best(task, method)
     values = [numbers.on_shared_sets(task, method, epsilon, kind=kind) for epsilon in epsilons]
     return "/".join(f"{np.mean(each):.2f}" for each in values) if all(values) else ""
-
-
-READ_METHODS = ("infogoal", "infogoal+her", "infobot+her", "her", "none")
-"""Methods of a cell of the table of readings, in order."""
 
 
 def readings_table(numbers: Numbers) -> str:
@@ -831,10 +847,10 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     searches = tuning.load(tuning.NUMBERS)
     for task, ending in ENDINGS.items():
         if any(numbers.has(*again(task, method)) for method in finals_of(task, searches)):
-            shown = numbers, task, searches
+            shown = Numbers(on_both(rows, numbers, task)), task, searches
             beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}
     return beside | {
-        "differences": difference_table(numbers, list(PRESETS_OF.values()), PAIRS),
+        "differences": difference_table(numbers, list(SHOWN.values()), PAIRS),
         "first": first_table(numbers),
         "carries": carries_table(numbers),
         "carries_differences": carries_differences(numbers),
@@ -853,10 +869,10 @@ def figure(rows: Sequence[Row]) -> Figure:
     panels = drawn.subplots(1, len(TASKS), sharey=True)
     for axes, task in zip(panels, TASKS, strict=True):
         for method, colour in LINES.items():
-            if not numbers.has(task, method):
+            if not numbers.has(SHOWN[task], method):
                 continue
             for code, style in (("sampled", "-"), ("mean", "--")):
-                values = np.array([numbers.on_shared_sets(task, method, each, code) for each in EPSILONS])
+                values = np.array([numbers.on_shared_sets(SHOWN[task], method, each, code) for each in EPSILONS])
                 interval = mean_interval(values.T)
                 label = METHODS[method] if code == "sampled" else ""
                 axes.plot(EPSILONS, interval.mean, color=colour, linestyle=style, label=label)

@@ -317,7 +317,7 @@ def test_what_a_memory_does_to_a_lead_is_paired_and_what_is_changed_is_a_field()
 
 @pytest.mark.parametrize("task", noise_numbers.CHOSEN_OF)
 def test_clean_choices_stand_beside_presets_on_data_sets_that_no_choice_has_seen(task):
-    own, chosen = noise_numbers.PRESETS_OF[task], noise_numbers.CHOSEN_OF[task]
+    own, chosen = noise_numbers.SHOWN[task], noise_numbers.CHOSEN_OF[task]
     assert noise_numbers.DATA_SETS[own] == noise_numbers.DATA_SETS[chosen]
     assert set(noise_numbers.DATA_SETS[own]) - {tuning.SEED} == {7, 8, 9}
     again = [noise_numbers.again(task, method) for method in noise_numbers.METHODS]
@@ -328,3 +328,11 @@ def test_clean_choices_stand_beside_presets_on_data_sets_that_no_choice_has_seen
     ]
     assert set(ran) >= {method for pair in noise_numbers.CLEAN_PAIRS[task] for method in pair}
     assert set(ran) <= noise_numbers.methods_of(own).keys()
+
+
+def test_presets_are_compared_with_clean_choices_on_the_data_sets_of_both():
+    own, chosen = noise_numbers.SHOWN["object_manipulation"], noise_numbers.CHOSEN_OF["object_manipulation"]
+    rows = [row("her", 0.0, "0.5", task=own, data_set=number) for number in "789"]
+    rows += [row("her@clean", 0.0, "0.6", task=chosen, data_set=number) for number in "78"]
+    found = noise_numbers.on_both(rows, Numbers(rows), "object_manipulation")
+    assert [(each["task"], each["data_set"]) for each in found] == [(task, n) for task in (own, chosen) for n in "78"]
