@@ -23,8 +23,10 @@ KINDS = ("bool", "uint8", "int32", "uint32", "int64", "float32", "float64")
 """Types of inputs."""
 
 
-def contract(library, left, right, dimension_numbers):
-    """The product of two arrays over the dimensions that JAX's dot_general names."""
+def contract(library, left, right, dimension_numbers, preferred_element_type=None):
+    """The product of two arrays over the dimensions that JAX's dot_general names, added up in the preferred type."""
+    if preferred_element_type not in (None, left.dtype):
+        left, right = left.astype(preferred_element_type), right.astype(preferred_element_type)
     (left_sum, right_sum), (left_batch, right_batch) = dimension_numbers
     if not left_batch:
         return library.tensordot(left, right, (left_sum, right_sum))
@@ -43,6 +45,11 @@ def broadcast(library, x, shape, broadcast_dimensions):
     return library.broadcast_to(x.reshape([own.get(axis, 1) for axis in range(len(shape))]), shape)
 
 
+def divide(library, x, y):
+    """The quotient, of integers without its fraction."""
+    return library.divide(x, y) if x.dtype.kind not in "iu" else (x - library.fmod(x, y)) // y
+
+
 def select(library, which, first, *cases):
     """For each element the case of its number, bool or int."""
     for number, case in enumerate(cases, 1):
@@ -51,10 +58,10 @@ def select(library, which, first, *cases):
 
 
 NUMPY = {
-    "add": "add", "add_any": "add", "sub": "subtract", "mul": "multiply", "div": "divide", "max": "maximum",
+    "add": "add", "add_any": "add", "sub": "subtract", "mul": "multiply", "max": "maximum",
     "min": "minimum", "neg": "negative", "abs": "absolute", "sign": "sign", "exp": "exp", "log": "log",
-    "log1p": "log1p", "expm1": "expm1", "tanh": "tanh", "sqrt": "sqrt", "square": "square", "pow": "power",
-    "is_finite": "isfinite", "and": "logical_and", "or": "logical_or", "not": "logical_not", "eq": "equal",
+    "log1p": "log1p", "expm1": "expm1", "tanh": "tanh", "sqrt": "sqrt", "square": "square",
+    "is_finite": "isfinite", "and": "bitwise_and", "or": "bitwise_or", "not": "invert", "eq": "equal",
     "ne": "not_equal", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal",
     "stop_gradient": "positive", "sin": "sin", "cos": "cos", "floor": "floor", "rem": "fmod",
 }  # fmt: skip
@@ -65,6 +72,8 @@ def operations(library):
     jax.numpy is one."""
     return {name: lambda *x, own=own, **_: getattr(library, own)(*x) for name, own in NUMPY.items()} | {
         "copy": lambda x, **_: x,
+        "div": lambda x, y, **_: divide(library, x, y),
+        "pow": lambda x, y, **_: library.power(x, y.astype(x.dtype)),
         "rsqrt": lambda x, **_: 1 / library.sqrt(x),
         "logistic": lambda x, **_: 1 / (1 + library.exp(-x)),
         "integer_pow": lambda x, y, **_: x**y,
@@ -83,12 +92,14 @@ def operations(library):
         "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
             tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
         ],
-        "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes)),
+        "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes), x.dtype),
         "reduce_max": lambda x, axes, **_: x.max(tuple(axes)),
         "clamp": lambda low, x, high, **_: library.clip(x, low, high),
         "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
         "reduce_min": lambda x, axes, **_: x.min(tuple(axes)),
-        "dot_general": lambda left, right, dimension_numbers, **_: contract(library, left, right, dimension_numbers),
+        "dot_general": lambda left, right, dimension_numbers, preferred_element_type=None, **_: contract(
+            library, left, right, dimension_numbers, preferred_element_type
+        ),
     }
 
 

@@ -161,6 +161,36 @@ def test_an_operation_may_have_several_results(name, settings, tmp_path):
     assert np.array_equal(difference.ravel(), [3, 3, 3])
 
 
+WHOLE, BYTES = np.array([-7, 5, 12, 2], np.int32), np.array([200, 100, 7, 3], np.uint8)
+FLOATS = np.array([-3.7, 30.5, 1.0, 2.0], np.float32)
+OF_WHOLE_NUMBERS = {
+    "quotients, towards zero": (jax.lax.div, WHOLE, WHOLE[::-1]),
+    "quotients, rounded down": (lambda x: x // 2, WHOLE),
+    "bits of both": (jax.lax.bitwise_and, WHOLE, WHOLE[::-1]),
+    "bits of either": (jax.lax.bitwise_or, WHOLE, WHOLE[::-1]),
+    "bits of none": (jax.lax.bitwise_not, WHOLE),
+    "flags": (lambda x, y: (x > 3) & ~(y > 3) | (x > y), WHOLE, WHOLE[::-1]),
+    "sums of bytes": (lambda x: jax.lax.reduce_sum(x, (0,)), BYTES),
+    "sums of whole numbers": (lambda x: x.sum(), WHOLE),
+    "products of bytes": (lambda x: jnp.dot(x, x, preferred_element_type=jnp.int32), BYTES),
+    "powers": (lambda x, y: x**y, FLOATS, WHOLE),
+}
+
+
+def replayed(function, *arguments) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What an exported function gives with NumPy, and what JAX gives."""
+    program, constants = export.trace(function, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arguments])
+    found = policy_file.run_program(json.loads(json.dumps(program)), constants, arguments)
+    return [np.asarray(x) for x in found], [np.asarray(x) for x in jax.tree.leaves(jax.jit(function)(*arguments))]
+
+
+@pytest.mark.parametrize("name", OF_WHOLE_NUMBERS)
+def test_whole_numbers_and_flags_are_computed_as_jax_does(name):
+    for found, expected in zip(*replayed(*OF_WHOLE_NUMBERS[name]), strict=True):
+        assert found.dtype == expected.dtype
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_floats_of_another_size_are_taken(shelf, exported):
     """NumPy's own are of 64 bits, as its noise is."""
     seen = np.asarray(shelf.train.env.render(shelf.train.env.observe(shelf.train.env.reset(jax.random.key(0)))))
