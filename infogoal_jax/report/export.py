@@ -17,13 +17,16 @@ from infogoal_jax import policy_file, presets
 from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.target_states import SubgoalEnv
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, reason, require, shown
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run
 from infogoal_jax.runs import disk
 from infogoal_jax.train.parts import tests_on_means
 from infogoal_jax.train.program import Train
 
+WITHIN, DRAWS = 1e-3, 4
+"""Of what a file gives and JAX does: how far they differ at most, as a fraction of the largest number where it is
+greater than 1, since it is for numbers of any size; and for how many drawn arguments that is looked at."""
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that hold a program of their own, and the name of the setting that it is."""
 
@@ -46,10 +49,13 @@ def export_params(
     Of the actions it says: discrete, whether the policy gives their values; moves, whether each is the number of a
     move, also where a low level makes them; action_size, how many there are, or the size of a vector; actions, names.
     Where goals are vectors goal_low and goal_high are their corners, and the policy takes any between these.
+
+    Raises `UserError` for a policy that NumPy does not run as JAX does.
     """
     config, env = train.parts.config, train.env
     function, examples = action_values(train, params) if env.discrete else driving(train, params)
     program, constants = trace(function, examples)
+    check_alike(function, examples, program, constants)
     listed = env.goals.finite and env.goals.inputs.dtype == jnp.float32
     acted = env.env if isinstance(env, SubgoalEnv) else env
     about = about | {
@@ -255,6 +261,35 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
         "outputs": [places[output] for output in outputs],
     }
     return program, [np.asarray(fixed[place], order="C") for place in used]
+
+
+def check_alike(function, examples, program: dict[str, Any], constants: list[np.ndarray]) -> None:
+    """Raise `UserError` unless a program, as its file has it, gives with NumPy what the function gives with JAX, for
+    arguments that are drawn."""
+    generator, written = np.random.default_rng(0), json.loads(json.dumps(program))
+    names = ", ".join(sorted({operation[0] for operation in written["operations"]}))
+    remedy = f"mend in policy_file.py the one of these operations that it runs in another way: {names}"
+    in_jax = jax.jit(function)
+    for _ in range(DRAWS):
+        arguments = [drawn(example, generator) for example in examples]
+        with jax.default_matmul_precision("highest"):
+            expected = jax.tree.map(np.asarray, jax.tree.leaves(in_jax(*arguments)))
+        try:
+            with np.errstate(all="ignore"):
+                found = policy_file.run_program(written, constants, arguments)
+        except Exception as error:
+            raise UserError(f"policy: NumPy raised {reason(error)}; {remedy}") from error
+        for one, other in zip(map(np.asarray, found), expected, strict=True):
+            largest = np.abs(other, where=np.isfinite(other), out=np.zeros_like(other)).max(initial=1)
+            near = one.shape == other.shape and np.allclose(one, other, rtol=0, atol=WITHIN * largest, equal_nan=True)
+            require(near, "policy", one.tolist(), f"NumPy gives this, and JAX {shown(other.tolist())}; {remedy}")
+
+
+def drawn(example: jax.ShapeDtypeStruct, generator: np.random.Generator) -> np.ndarray:
+    """An array of this shape and type: standard normal numbers, flags, or whole numbers that a byte has."""
+    kind = np.dtype(example.dtype).kind
+    values = generator.normal(size=example.shape) if kind == "f" else generator.integers(256, size=example.shape)
+    return np.asarray(values % 2 if kind == "b" else values, example.dtype)
 
 
 def plain(value: Any) -> Any:

@@ -191,6 +191,24 @@ def test_whole_numbers_and_flags_are_computed_as_jax_does(name):
         np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+def raises(*arguments, **settings):
+    """An operation that NumPy refuses."""
+    raise TypeError("no such numbers")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [(lambda x, y, **_: np.minimum(x, y), "and JAX"), (raises, "NumPy raised TypeError: no such numbers")],
+)
+def test_a_policy_that_numpy_runs_in_another_way_is_not_kept(wrong, words, shelf, tmp_path, monkeypatch):
+    file = tmp_path / "policy.npz"
+    file.write_bytes(b"the one before")
+    monkeypatch.setitem(policy_file.OPERATIONS, "max", wrong)
+    with pytest.raises(UserError, match=rf"^policy.*{words}.*mend in policy_file.py the one of .*, max, "):
+        export.export_params(*shelf, file, {})
+    assert file.read_bytes() == b"the one before"
+
+
 def test_floats_of_another_size_are_taken(shelf, exported):
     """NumPy's own are of 64 bits, as its noise is."""
     seen = np.asarray(shelf.train.env.render(shelf.train.env.observe(shelf.train.env.reset(jax.random.key(0)))))
