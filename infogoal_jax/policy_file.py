@@ -50,6 +50,21 @@ def divide(library, x, y):
     return library.divide(x, y) if x.dtype.kind not in "iu" else (x - library.fmod(x, y)) // y
 
 
+def pad(library, x, value, padding_config):
+    """The array with as many of this value before and after it along each axis, or fewer elements of its own."""
+    if any(between for _, _, between in padding_config):
+        raise ValueError("values between elements are not known")
+    x = library.pad(x, [(max(low, 0), max(high, 0)) for low, high, _ in padding_config], constant_values=value)
+    ends = zip(x.shape, padding_config, strict=True)
+    return x[tuple(slice(max(-low, 0), size - max(-high, 0)) for size, (low, high, _) in ends)]
+
+
+def rounded(library, x, rounding_method):
+    """The nearest whole number, as a float; of halves the even one where the method is 1, else the farther from 0."""
+    even, whole = library.rint(x), library.trunc(x)
+    return even if rounding_method == 1 else library.where(abs(x - whole) == 0.5, whole + library.sign(x), even)
+
+
 def select(library, which, first, *cases):
     """For each element the case of its number, bool or int."""
     for number, case in enumerate(cases, 1):
@@ -57,13 +72,43 @@ def select(library, which, first, *cases):
     return first
 
 
+def gather(library, x, places, dimension_numbers, slice_sizes, mode=None, fill_value=None):
+    """The slices of `x` of these sizes that begin at `places` [..., K], as JAX's gather lays them out. One that would
+    go beyond `x` is moved inside, or filled where the mode says so."""
+    offset, collapsed, mapped, batched, batches = dimension_numbers
+    rest = [axis for axis in range(places.ndim - 1 + len(offset)) if axis not in offset]
+    kept = [axis for axis in range(x.ndim) if axis not in (*collapsed, *batched)]
+    sizes = dict(zip(rest, places.shape[:-1], strict=True))
+    sizes |= dict(zip(offset, (slice_sizes[axis] for axis in kept), strict=True))
+    shape = [sizes[axis] for axis in range(len(sizes))]
+    index, inside = [0] * x.ndim, True
+    for number, axis in enumerate(mapped):
+        first, last = places[..., number], x.shape[axis] - slice_sizes[axis]
+        index[axis] = broadcast(library, library.clip(first, 0, last), shape, rest)
+        inside = inside & broadcast(library, (first >= 0) & (first <= last), shape, rest)
+    for axis, batch in zip(batched, batches, strict=True):
+        index[axis] = broadcast(library, library.arange(x.shape[axis]), shape, [rest[batch]])
+    for axis, at in zip(kept, offset, strict=True):
+        index[axis] = index[axis] + broadcast(library, library.arange(slice_sizes[axis]), shape, [at])
+    found = x[tuple(index)]
+    return found if mode != "FILL_OR_DROP" else library.where(inside, found, library.asarray(fill_value, x.dtype))
+
+
+def dynamic_slice(library, x, starts, slice_sizes):
+    """The slice of these sizes that begins at numbers `starts`, one for each axis, moved inside."""
+    axes = list(range(x.ndim))
+    return gather(library, x, library.stack(starts), [axes, [], axes, [], []], slice_sizes)
+
+
 NUMPY = {
-    "add": "add", "add_any": "add", "sub": "subtract", "mul": "multiply", "max": "maximum",
-    "min": "minimum", "neg": "negative", "abs": "absolute", "sign": "sign", "exp": "exp", "log": "log",
-    "log1p": "log1p", "expm1": "expm1", "tanh": "tanh", "sqrt": "sqrt", "square": "square",
-    "is_finite": "isfinite", "and": "bitwise_and", "or": "bitwise_or", "not": "invert", "eq": "equal",
-    "ne": "not_equal", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal",
-    "stop_gradient": "positive", "sin": "sin", "cos": "cos", "floor": "floor", "rem": "fmod",
+    "add": "add", "add_any": "add", "sub": "subtract", "mul": "multiply", "max": "maximum", "min": "minimum",
+    "neg": "negative", "abs": "absolute", "sign": "sign", "exp": "exp", "exp2": "exp2", "log": "log", "log1p": "log1p",
+    "expm1": "expm1", "sqrt": "sqrt", "cbrt": "cbrt", "square": "square", "is_finite": "isfinite",
+    "and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "invert", "eq": "equal", "ne": "not_equal",
+    "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal", "stop_gradient": "positive",
+    "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos", "atan": "arctan", "atan2": "arctan2",
+    "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "asinh": "arcsinh", "acosh": "arccosh", "atanh": "arctanh",
+    "floor": "floor", "ceil": "ceil", "rem": "fmod",
 }  # fmt: skip
 
 
@@ -87,16 +132,31 @@ def operations(library):
             library, x, shape, broadcast_dimensions
         ),
         "concatenate": lambda *x, dimension, **_: library.concatenate(x, dimension),
+        "stack": lambda *x, axis, **_: library.stack(x, axis),
         "split": lambda x, sizes, axis, **_: library.split(x, np.cumsum(sizes)[:-1], axis),
         "unstack": lambda x, axis, **_: list(library.moveaxis(x, axis, 0)),
+        "pad": lambda x, value, padding_config, **_: pad(library, x, value, padding_config),
         "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
             tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
         ],
         "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes), x.dtype),
         "reduce_max": lambda x, axes, **_: x.max(tuple(axes)),
+        "cumsum": lambda x, axis, reverse, **_: (
+            library.flip(library.flip(x, axis).cumsum(axis, x.dtype), axis) if reverse else x.cumsum(axis, x.dtype)
+        ),
+        "rev": lambda x, dimensions, **_: library.flip(x, tuple(dimensions)),
+        "round": lambda x, rounding_method, **_: rounded(library, x, rounding_method),
         "clamp": lambda low, x, high, **_: library.clip(x, low, high),
-        "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
         "reduce_min": lambda x, axes, **_: x.min(tuple(axes)),
+        "reduce_prod": lambda x, axes, **_: x.prod(tuple(axes), x.dtype),
+        "reduce_and": lambda x, axes, **_: library.bitwise_and.reduce(x, tuple(axes)),
+        "reduce_or": lambda x, axes, **_: library.bitwise_or.reduce(x, tuple(axes)),
+        "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
+        "argmin": lambda x, axes, index_dtype, **_: x.argmin(*axes).astype(index_dtype),
+        "gather": lambda x, places, dimension_numbers, slice_sizes, mode=None, fill_value=None, **_: gather(
+            library, x, places, dimension_numbers, slice_sizes, mode, fill_value
+        ),
+        "dynamic_slice": lambda x, *starts, slice_sizes, **_: dynamic_slice(library, x, starts, slice_sizes),
         "dot_general": lambda left, right, dimension_numbers, preferred_element_type=None, **_: contract(
             library, left, right, dimension_numbers, preferred_element_type
         ),
@@ -175,7 +235,7 @@ def check(about, program):
         name, given, results, settings = operation
         wants(type(name) is str and name in OPERATIONS, f"operation {str(name)[:100]!r} is not known")
         wants(known.issuperset(given), f"{name} has an argument that is not there")
-        for setting in ("shape", "new_sizes"):
+        for setting in ("shape", "new_sizes", "slice_sizes"):
             wants(wholes(settings.get(setting, [])) and math.prod(settings.get(setting, [])) <= MOST, setting)
         known.update(results)
     outputs = program.get("outputs")

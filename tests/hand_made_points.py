@@ -167,5 +167,6 @@ def random_params(train: Train) -> dict:
     shapes = train.state_shapes.params
     generator = np.random.default_rng(0)
     return jax.tree.map(
-        lambda leaf: jnp.asarray(generator.normal(0, 1 / np.sqrt(leaf.shape[-2:][0]), leaf.shape), leaf.dtype), shapes
+        lambda leaf: jnp.asarray(generator.normal(0, 1 / np.sqrt((*leaf.shape[-2:], 1)[0]), leaf.shape), leaf.dtype),
+        shapes,
     )

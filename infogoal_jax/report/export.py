@@ -4,6 +4,7 @@ The policy is traced once and its operations are written down as they are, so th
 exported, those of a user too; of HRAC both levels together.
 """
 
+import enum
 import json
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,18 @@ from infogoal_jax.train.program import Train
 WITHIN, DRAWS = 1e-3, 4
 """Of what a file gives and JAX does: how far they differ at most, as a fraction of the largest number where it is
 greater than 1, since it is for numbers of any size; and for how many drawn arguments that is looked at."""
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
 """Primitives that hold a program of their own, and the name of the setting that it is."""
+
+
+NUMBERS = {np.dtype(kind).name for kind in np.typecodes["AllInteger"] + np.typecodes["Float"] + "?"}
+"""Types that NumPy has by itself: bfloat16 is none."""
 
 
 def export(run: Run, out: Path, seed: int | None = None, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
@@ -218,6 +229,8 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
             if name in CALLS:
                 called = equation.params[CALLS[name]]
                 results = walk(called.jaxpr, called.consts, given)
+            elif name == "optimization_barrier":  # For a compiler: what comes out went in.
+                results = given
             elif name == "platform_index":  # Of the form that is for any device, as NumPy has it.
                 results = [next(count)]
                 fixed[results[0]] = equation.params["platforms"].index(None)
@@ -231,6 +244,10 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
                     several = equation.primitive.multiple_results
                     fixed.update(zip(results, known if several else [known], strict=True))
                 else:
+                    for kind in (str(one.aval.dtype) for one in equation.outvars):
+                        require(
+                            kind in NUMBERS, "policy", kind, "give float32 numbers: NumPy alone does not have these"
+                        )
                     step(name, given, results, equation.params)
             inside |= dict(zip(equation.outvars, results, strict=True))
         return [place_of(one, inside) for one in jaxpr.outvars]
@@ -296,8 +313,10 @@ def plain(value: Any) -> Any:
     """A setting of an operation as JSON has it; None for what only a compiler needs."""
     if isinstance(value, (bool, int, float)):
         return value
-    if isinstance(value, np.integer):
-        return int(value)
+    if isinstance(value, np.integer | np.floating):
+        return value.item()
+    if isinstance(value, enum.Enum):
+        return value.name
     if isinstance(value, (tuple, list)):
         inside = [plain(one) for one in value]
         return None if any(one is None for one in inside) else inside

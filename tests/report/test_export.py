@@ -6,6 +6,7 @@ import subprocess
 import sys
 from typing import NamedTuple
 
+import flax.linen
 import hand_made
 import hand_made_frames
 import hand_made_points
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from infogoal_jax import envs, make_train, policy_file, presets
+from infogoal_jax import agents, envs, make_train, policy_file, presets
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.cli.export import actions_in_words
 from infogoal_jax.cli.main import main
@@ -24,6 +25,7 @@ from infogoal_jax.errors import UserError, counted
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import steer
 from infogoal_jax.report import export, runs
+from infogoal_jax.runs import low_level
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
@@ -163,6 +165,9 @@ def test_an_operation_may_have_several_results(name, settings, tmp_path):
 
 WHOLE, BYTES = np.array([-7, 5, 12, 2], np.int32), np.array([200, 100, 7, 3], np.uint8)
 FLOATS = np.array([-3.7, 30.5, 1.0, 2.0], np.float32)
+TABLE = np.random.default_rng(0).normal(size=(4, 3)).astype(np.float32)
+PLACES = np.array([[0, 3, -1], [2, 1, 9]], np.int32)
+"""Of rows of the table, one of them from its end and one beyond it."""
 OF_WHOLE_NUMBERS = {
     "quotients, towards zero": (jax.lax.div, WHOLE, WHOLE[::-1]),
     "quotients, rounded down": (lambda x: x // 2, WHOLE),
@@ -177,18 +182,68 @@ OF_WHOLE_NUMBERS = {
 }
 
 
-def replayed(function, *arguments) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What an exported function gives with NumPy, and what JAX gives."""
+def check_replayed(function, *arguments) -> None:
+    """An exported function gives what JAX gives, with NumPy, and as a low level, which JAX runs from the file."""
     program, constants = export.trace(function, [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arguments])
-    found = policy_file.run_program(json.loads(json.dumps(program)), constants, arguments)
-    return [np.asarray(x) for x in found], [np.asarray(x) for x in jax.tree.leaves(jax.jit(function)(*arguments))]
+    expected, program = jax.tree.leaves(jax.jit(function)(*arguments)), json.loads(json.dumps(program))
+    for operations in (policy_file.OPERATIONS, low_level.IN_JAX):
+        for found, other in zip(
+            policy_file.run_program(program, constants, arguments, operations), expected, strict=True
+        ):
+            assert found.dtype == other.dtype
+            np.testing.assert_allclose(found, other, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", OF_WHOLE_NUMBERS)
 def test_whole_numbers_and_flags_are_computed_as_jax_does(name):
-    for found, expected in zip(*replayed(*OF_WHOLE_NUMBERS[name]), strict=True):
-        assert found.dtype == expected.dtype
-        np.testing.assert_allclose(found, expected, rtol=1e-6)
+    check_replayed(*OF_WHOLE_NUMBERS[name])
+
+
+def test_numbers_that_numpy_alone_does_not_have_are_refused():
+    with pytest.raises(UserError, match="^policy = 'bfloat16': give float32"):
+        check_replayed(lambda x: (x.astype(jnp.bfloat16) * 2).astype(jnp.float32), FLOATS)
+
+
+ACT_IN_VECTORS = [name for name in agents.registry if name not in ("dqn", "cql")]
+OTHERS = {
+    "rows of a table": (lambda x, at: x[at], TABLE, PLACES),
+    "columns of a table, some beyond it": (lambda x, at: jnp.take(x, at, axis=1), TABLE, PLACES),
+    "whole numbers, some beyond": (lambda x, at: jnp.take(x, at), WHOLE, PLACES),
+    "one of each column": (lambda x, at: jnp.take_along_axis(x, at[:1], 0), TABLE, PLACES),
+    "single elements": (lambda x, at: x[at[0], at[1]], TABLE, PLACES),
+    "rows of each of several": (lambda x, at: jax.vmap(lambda x, at: x[at])(x, at), np.stack([TABLE] * 2), PLACES),
+    "rows from a place on": (lambda x, at: jax.lax.dynamic_slice(x, (at[0, 0], at[1, 0]), (2, 2)), TABLE, PLACES),
+    "lowest and highest": (lambda x: (x.argmin(0), x.argmax(1), x.min(), x.max(0)), TABLE),
+    "all and any": (lambda x: ((x > -1).all(0), (x > 1).any(1), (x > 0).any()), TABLE),
+    "bits of all and any": (lambda x: (jax.lax.reduce_and(x, (0,)), jax.lax.reduce_or(x, (0,))), BYTES),
+    "bits of one": (lambda x, y: x ^ y, WHOLE, WHOLE[::-1]),
+    "products": (lambda x, y: (x.prod(), y.prod(0)), WHOLE, FLOATS),
+    "sums so far": (lambda x: (jnp.cumsum(x, 1), jax.lax.cumsum(x, 0, reverse=True)), TABLE),
+    "rounded": (lambda x: (jnp.round(x), jax.lax.round(x), jnp.ceil(x)), np.float32([-2.5, -0.5, 0.4, 1.5, 2.5])),
+    "turned and stacked": (lambda x: jnp.stack([x[::-1], jnp.roll(x, 1, 0)], 1), TABLE),
+    "padded and cut": (lambda x: jax.lax.pad(x, -1.0, ((1, 0, 0), (-1, 2, 0))), TABLE),
+    "functions of flax": (lambda x: (flax.linen.gelu(x), flax.linen.softplus(x), flax.linen.softmax(x)), FLOATS),
+    "angles": (lambda x: (jnp.arctan2(x, x[::-1]), jnp.arcsin(jnp.sin(x)), jnp.tan(x)), FLOATS),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_operations_do_as_with_jax(name):
+    check_replayed(*OTHERS[name])
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "sac" else pytest.mark.long) for name in ACT_IN_VECTORS]
+)
+def test_the_policy_of_every_agent_for_vectors_is_exported(name, tmp_path):
+    """On points; what is exported is held to what JAX gives before it is kept."""
+    preset = presets.load("fetch_reach", "her" if name == "crl" else "none", agent=name)
+    small = hand_made_points.config("none", **SHORT)
+    hyper = presets.default_hyperparameters(small.learner, preset.agent)
+    config = dataclasses.replace(small, agent=preset.agent, relabelling=preset.relabelling, hyper=hyper)
+    env = hand_made_points.steered() if name == "hrac" else hand_made_points.points()
+    exported = export.export_params(*case_of(config, env), tmp_path / "policy.npz", {})
+    assert not exported.about["discrete"]
 
 
 def raises(*arguments, **settings):

@@ -38,6 +38,7 @@ from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.report import export
 from infogoal_jax.report.methods import against
 from infogoal_jax.runner.compilation import QUICKEST, known
 
@@ -84,6 +85,20 @@ def test_every_method_of_the_paper_has_a_task():
         "sse_db",
         "leo",
     }
+
+
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [
+        pytest.param(task, method, marks=[] if (task, method) == ("object_search", "dgrl") else pytest.mark.long)
+        for task, method in working()
+    ],
+)
+def test_the_policy_of_every_method_is_exported(task, method, tmp_path):
+    """Which holds what it writes to what JAX gives."""
+    train = train_of(task, method)
+    exported = export.export_params(train, hand_made_points.random_params(train), tmp_path / "policy.npz", {})
+    assert exported.about["task"] == task
 
 
 @contextlib.contextmanager
