@@ -102,6 +102,8 @@ class ObjectManipulation(GraphWalk):
     """int32 [K], the goal that each image shows."""
     goal_quaternion: jax.Array
     """float32 [N, 4] orientation of each goal, w first."""
+    action_names: tuple[str, ...] = flax.struct.field(pytree_node=False, default=(), kw_only=True)
+    """A names of the moves, as the dataset has them."""
 
     has_target_states = True
 
@@ -330,6 +332,7 @@ def from_data(
         goal_quaternion=jax.device_put(quaternions(rotation)),
         views=None if views is None else jax.device_put(views),
         source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; {seen}",
+        action_names=data.actions,
         **behind_goals,
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

@@ -130,6 +130,12 @@ def test_the_file_has_a_row_for_each_goal_where_several_images_show_one(tmp_path
     np.testing.assert_array_equal(policy.goals, goals.inputs_of(jnp.arange(goals.num_goals)))
 
 
+def test_the_file_names_the_moves_of_the_cube(tmp_path):
+    case = case_of(hand_made_frames.manipulation_config("none", **SHORT), hand_made_frames.manipulation())
+    about = export.export_params(*case, tmp_path / "policy.npz", {}).about
+    assert about["actions"] == ["joint 1 +", "joint 1 -", "joint 2 +", "joint 2 -", "joint 6 +", "joint 6 -"]
+
+
 def test_the_reader_needs_numpy_alone(shelf, tmp_path):
     """Its file is copied away and runs where the package is not."""
     export.export_params(*shelf, tmp_path / "policy.npz", {})
