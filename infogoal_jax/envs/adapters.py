@@ -61,10 +61,12 @@ class AdaptedTask(GoalTask):
     """(the environment's state) -> the goal that it has drawn, float32 [D]."""
     read_achieved: Callable[[Any], jax.Array] = flax.struct.field(pytree_node=False, default=None)
     """(the environment's state) -> the goal that it achieves, float32 [D]."""
-    read_recorded: Callable[[Any], jax.Array] | None = flax.struct.field(pytree_node=False, default=None)
-    """(flattened observation) -> the goal that it achieves, float32 [D]; None: `achieved` is no places of it."""
+    size: int = flax.struct.field(pytree_node=False, default=0)
+    """Numbers of the flattened observation."""
     shown: tuple[int, ...] = flax.struct.field(pytree_node=False, default=())
     """Places of the flattened observation that the agent sees."""
+    achieved_places: tuple[int, ...] = flax.struct.field(pytree_node=False, default=())
+    """Places of it that are the goal that is achieved; none: they do not tell it."""
     own_goals: bool = flax.struct.field(pytree_node=False, default=True)
     """Whether training goals are those that the environment draws with each start, of one reset."""
     starts: int = flax.struct.field(pytree_node=False, default=1)
@@ -105,13 +107,18 @@ class AdaptedTask(GoalTask):
         return self.read_achieved(world)
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
-        """The goal that is achieved where this was seen, the whole flattened observation."""
-        return super().achieved_in(observation) if self.read_recorded is None else self.read_recorded(observation)
+        """The goal that is achieved where this was seen: the whole flattened observation, or what the agent sees."""
+        there = range(self.size) if observation.shape[-1] == self.size else self.shown
+        if not self.achieved_places or not set(self.achieved_places) <= set(there):
+            return super().achieved_in(observation)
+        return taken(tuple(map(there.index, self.achieved_places)), observation)
 
     def recorded_observation(self, episodes: Episodes) -> np.ndarray:
         """What the agent sees of whole observations [N, F] of a recording, or of those that show just that."""
-        whole = episodes.observations.shape[-1] > len(self.shown)
-        return episodes.observations[..., np.array(self.shown, np.int32)] if whole else episodes.observations
+        seen, own = episodes.observations, len(self.shown)
+        remedy = f"give whole observations of {self.size} numbers, or the {own} that the agent sees"
+        require(seen.ndim == 2 and seen.shape[1] in (self.size, own), "observations", list(seen.shape), remedy)
+        return seen[:, np.array(self.shown, np.int32)] if seen.shape[1] == self.size else seen
 
     def fails(self, world: Any) -> jax.Array:
         return world.done > 0
@@ -186,8 +193,9 @@ def from_brax(
         env=env,
         read_goal=read_goal,
         read_achieved=read_achieved,
-        read_recorded=partial(taken, of_achieved) if of_achieved else None,
+        size=layout.size,
         shown=shown,
+        achieved_places=of_achieved,
         own_goals=low is None and held_out is None,
         starts=starts,
         action_size=action_size,

@@ -15,9 +15,11 @@ import pytest
 from infogoal_jax import UserError, envs, make_train, presets, replay
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.bridges.brax import Env, State
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs import adapters, named
 from infogoal_jax.envs.adapters import import_jaxgcrl
 from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.recordings import with_recordings
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.rollout import collect
 
@@ -130,6 +132,37 @@ def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leav
     of_goal = jax.jit(lambda goal: task.observe(task.reset_to(KEYS[1], goal)))
     told = [of_goal(np.array([goal], np.float32)) for goal in (-1.0, 1.0)]
     assert np.array_equal(*told)
+
+
+PAIR = {"goal": "goal", "achieved": [1], "hidden": "way", "radius": 0.2, "episode_length": EPISODE}
+
+
+def recorded(columns: list[int], **others) -> Episodes:
+    """Three observations of the line, of which these columns were kept."""
+    whole = np.arange(15, dtype=np.float32).reshape(3, 5) / 10
+    return Episodes(whole[:, columns], np.zeros((3, 1), np.float32), np.array([False, False, True]), **others)
+
+
+@pytest.mark.parametrize("columns", [[0, 1, 2, 3, 4], [1, 2, 3]], ids=["whole", "what the agent sees"])
+def test_recordings_are_of_whole_observations_or_of_what_the_agent_sees(columns):
+    """The goal that is achieved is read from the same number of both."""
+    rows = with_recordings(envs.from_brax(Line(), **PAIR), recorded(columns)).recorded
+    np.testing.assert_allclose(rows.observation[0], recorded([1, 2, 3]).observations)
+    np.testing.assert_allclose(rows.record[0], recorded([1]).observations)
+
+
+@pytest.mark.parametrize("columns", [[0, 1], [0, 1, 2, 3], [0, 1, 2, 3, 4, 4]])
+def test_recordings_of_other_numbers_are_refused(columns):
+    with pytest.raises(UserError, match="^observations = .*: give whole observations of 5 numbers, or the 3 that"):
+        with_recordings(line_task(), recorded(columns))
+
+
+def test_a_goal_that_recordings_do_not_show_is_asked_for():
+    task = envs.from_brax(Line(), **PAIR | {"hidden": [1, 4]})
+    with pytest.raises(UserError, match="^achieved_goals: is missing"):
+        with_recordings(task, recorded([2, 3]))
+    told = recorded([2, 3], achieved_goals=np.ones((3, 1), np.float32))
+    np.testing.assert_array_equal(with_recordings(task, told).recorded.record[0], np.ones((3, 1)))
 
 
 @pytest.mark.parametrize(
