@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import from_json, open_to_read
 from infogoal_jax.hyperparameters import values_of
@@ -88,7 +89,7 @@ def members_of(training: batches.Training) -> dict[str, dict[str, Any]]:
         run.name: {
             "place": place,
             "lanes": [which.start, which.stop],
-            "of": [floats[which.start], list(run.seeds), training.batch.envs[place].source],
+            "of": [floats[which.start], list(run.seeds), data_of(training.batch.envs[place])],
         }
         for run, (place, which) in training.batch.places.items()
     }

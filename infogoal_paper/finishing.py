@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.training import describe
@@ -86,7 +87,7 @@ def result_of(training: batches.Training, run: Run, config: TrainConfig, measure
     }
     about = {
         "config": files.recorded_config(config),
-        "data": env.source,
+        "data": data_of(env),
         "versions": describe(batch.config, env, [0]).versions,
         "machine": describe_machine(),
         "updates": batch.config.epochs_per_evaluation * batch.config.updates_per_epoch,

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from scipy import stats
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import has_own_loss, has_reward
@@ -75,7 +76,7 @@ def on(train: Train, config: TrainConfig, env: Any) -> Train:
 
 def subject_of(train: Train, params: Any, seed: int) -> Subject:
     """One seed of a run, as the figures of a run take it."""
-    run = RunInFolder(train.config, [seed], train.env.source, {}, device="", folder=Path(), name="")
+    run = RunInFolder(train.config, [seed], data_of(train.env), {}, device="", folder=Path(), name="")
     return Subject(run, train, None, None, {}, params, seed)
 
 

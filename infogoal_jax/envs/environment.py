@@ -54,8 +54,10 @@ class Environment:
     episode_length: int
     """Steps after which an episode is truncated."""
     source: str
-    """What the data is, in words, for reports; stand-in data is called so. With a checksum of what was read from files,
-    by which a run that goes on knows them again (`archives.checksum`)."""
+    """What the data is, in words, for reports; stand-in data is called so. With a checksum of what was read from files
+    (`archives.checksum`), see `data_of`."""
+    recorded_checksum = ""
+    """Checksum of the recordings, where `source` does not have it."""
     space: Any
     """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py,
     envs/target_states.py)."""
@@ -170,6 +172,12 @@ class Environment:
     def with_goals(self, goals: GoalSpace) -> "Environment":
         """The same task with another goal set, such as one of which fewer goals are evaluated."""
         return self.replace(goals=goals)
+
+
+def data_of(env: Environment) -> str:
+    """What the data of a task is, in words, by which a run that goes on knows it again: its source, and the recordings
+    that it learns from."""
+    return f"{env.source}; learned from recordings {env.recorded_checksum}" if env.recorded_checksum else env.source
 
 
 def one_observation(env: Environment) -> Any:

@@ -81,6 +81,8 @@ class GoalTask(Environment):
     """Whether reaching the goal ends the episode."""
     recorded: Trajectories | None = flax.struct.field(default=None, kw_only=True)
     """Recorded episodes to learn from, see recordings.py; None: the agent acts."""
+    recorded_checksum: str = flax.struct.field(pytree_node=False, default="", kw_only=True)
+    """Checksum of those."""
 
     discrete = False
     source = "simulated"

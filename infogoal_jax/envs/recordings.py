@@ -70,11 +70,8 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     if episodes.desired_goals is not None:
         task.goals.checked(episodes.desired_goals, "desired_goals", 1)
     rows = rows_of(task, observations, achieved, episodes, seed)
-    # Of a task whose source is settled by its class, nothing says which recordings it had.
-    told = "source" in {field.name for field in dataclasses.fields(task)}
-    content = checksum(episodes.observations, episodes.actions)
-    said = {"source": f"{task.source}; learned from recordings {content}"} if told else {}
-    return task.replace(recorded=rows, **said)
+    given = [episodes.observations, episodes.actions, episodes.achieved_goals, episodes.desired_goals]
+    return task.replace(recorded=rows, recorded_checksum=checksum(*(each for each in given if each is not None)))
 
 
 @flax.struct.dataclass

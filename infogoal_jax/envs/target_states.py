@@ -141,7 +141,8 @@ class SubgoalEnv(Environment):
 
     discrete = False
     has_target_states = True
-    goals, episode_length, recorded = of_env("goals"), of_env("episode_length"), of_env("recorded")
+    goals, episode_length = of_env("goals"), of_env("episode_length")
+    recorded, recorded_checksum = of_env("recorded"), of_env("recorded_checksum")
     num_observations, num_cells = of_env("num_observations"), of_env("num_cells")
     goal_positions, near_goals = of_env("goal_positions"), of_env("near_goals")
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")

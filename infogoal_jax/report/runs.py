@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from infogoal_jax import checks
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
@@ -92,7 +93,8 @@ def load_run(folder: str | Path, **moved: str) -> Run:
             require(name in known, name, moved[name], f"is no place of the task's data. Known: {', '.join(known)}")
         config = dataclasses.replace(run.config, env=dataclasses.replace(run.config.env, **moved))
         run = dataclasses.replace(run, config=config)
-        require(run.env.source == run.data, next(iter(moved)), run.env.source, f"the run's data were {run.data}")
+        found = data_of(run.env)
+        require(found == run.data, next(iter(moved)), found, f"the run's data were {run.data}")
     return run
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax import checks, hyperparameters
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import require
 from infogoal_jax.imports import checksums, typed_command
 from infogoal_jax.loading import make_train
@@ -74,7 +75,7 @@ def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
         "python": platform.python_version(),
     }
     device = str(jax.devices()[0].device_kind)
-    return Description(configuration.located(config), seeds, env.source, versions, device, imports=checksums())
+    return Description(configuration.located(config), seeds, data_of(env), versions, device, imports=checksums())
 
 
 def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:

@@ -16,6 +16,7 @@ from infogoal_jax.bridges.minari import episodes_of
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.envs.recordings import from_recordings, with_recordings
 from infogoal_jax.replay import Trajectories, steps_left
 from infogoal_jax.runner import memory
@@ -540,7 +541,7 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
         return found[np.lexsort(found.T)]
 
     assert np.array_equal(steps(rows), steps(again)) and made.lengths.sum() == rows.valid.sum()
-    assert "learned from recordings" in task.source
+    assert "learned from recordings" in data_of(task)
     with pytest.raises(UserError, match=r"^env.dataset = '[^']*gone.npz': no such file"):
         envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "gone.npz")))
 

@@ -10,6 +10,9 @@ from infogoal_jax import UserError, envs, evaluate, load_run, presets, rollout
 from infogoal_jax.bridges.gymnasium import TaskGymnasium
 from infogoal_jax.cli.main import main
 from infogoal_jax.data.episodes import Episodes, of_arrays
+from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.envs.recordings import with_recordings
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures, read_subject
 from infogoal_jax.report.summary import evaluate_run, print_summary
@@ -53,3 +56,30 @@ def test_what_nobody_can_act_in_is_not_evaluated(tmp_path, capsys):
             ask()
     with pytest.raises(UserError, match=r"^env.simulated = False: give recordings"):
         presets.register("nothing", env.replace(recorded=None))
+
+
+class Told(GoalTask):
+    """A task whose source is settled by its class."""
+
+    action_size = 2
+    source = "a plane"
+
+    def begin(self, key):
+        return self.goals.draw(key)
+
+    def observation(self, world):
+        return world
+
+    achieved_in = achieved_goal = observation
+
+
+def test_a_run_tells_the_recordings_of_a_task_that_settles_its_source():
+    """By which it does not go on with others."""
+    task, others = Told(GoalBox.of([-1, -1], [1, 1])), walks()
+    others.observations[3] += 0.1
+    aimed = dataclasses.replace(walks(), desired_goals=np.zeros((10, 2), np.float32))
+    config = presets.load("point_maze", "none", agent="gcivl")
+    told = [training.describe(config, with_recordings(task, each), [0]).data for each in (walks(), others, aimed)]
+    assert told[0] == training.describe(config, with_recordings(task, walks()), [0]).data and len(set(told)) == 3
+    assert told[0].startswith("a plane; learned from recordings ")
+    assert training.describe(config, task, [0]).data == "a plane"

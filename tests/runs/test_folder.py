@@ -171,7 +171,8 @@ def test_a_run_is_loaded_with_its_data_elsewhere(tmp_path, monkeypatch):
     configuration.write(tmp_path, Description(hand_made.config(), [0], "rooms", {}, "cpu"))
 
     def train(config):
-        return SimpleNamespace(env=SimpleNamespace(source="rooms" if config.env.dataset == "moved" else "a street"))
+        source = "rooms" if config.env.dataset == "moved" else "a street"
+        return SimpleNamespace(env=SimpleNamespace(source=source, recorded_checksum=""))
 
     monkeypatch.setattr(runs, "make_train", train)
     assert load_run(tmp_path, dataset="moved").config.env.dataset == "moved"
