@@ -83,10 +83,9 @@ BRAX = {
         "achieved": lambda state: state.obs[4:6] + state.obs[8:10],
         "radius": 0.02,
     },
-    "pusher": {"goal": [20, 21, 22], "achieved": [17, 18, 19], "radius": 0.1},
 }
-"""The environments of brax that draw a goal: arguments of `from_brax`. A tip and its target, and a thing that is pushed
-to a place."""
+"""The environments of brax that draw a goal, here a tip's target: arguments of `from_brax`. That of the pusher never
+changes."""
 
 
 def reach(env: Any) -> dict[str, Any]:

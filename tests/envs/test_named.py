@@ -51,6 +51,7 @@ def test_words_mean_a_task_and_a_name(words, meant):
         ("point_maze --env brax:reacher", "'point_maze' is a task already"),
         ("--env brax:reachr", "env.id = 'reachr': brax has no such environment. Did you mean 'reacher'?"),
         ("--env brax:ant", "env.goal = (): no goal of brax:ant is known; name places"),
+        ("--env brax:pusher", "env.goal = (): no goal of brax:pusher is known; name places"),
         ("--env brax:reacher --env.goal 4 5", "env.achieved = (): goes with --env.goal"),
         pytest.param(
             "--env brax:reacher --env.goal 4 --env.achieved 99 --env.radius 1",
