@@ -138,11 +138,17 @@ def start(env: Environment, key: jax.Array, goal: jax.Array) -> tuple[Any, dict[
     return state, seen(env, state)
 
 
+def failed_in(env: Environment, state: Any) -> jax.Array:
+    """Whether the episode has failed, bool."""
+    return env.failed(state) if env.can_fail else jnp.zeros((), bool)
+
+
 @jax.jit
-def move(env: Environment, state: Any, action: jax.Array) -> tuple[Any, dict[str, jax.Array], jax.Array]:
-    """The next state, what is seen of it, and which actions can be taken in it, bool [A]."""
+def move(env: Environment, state: Any, action: jax.Array) -> tuple[Any, dict[str, jax.Array], jax.Array, jax.Array]:
+    """The next state, what is seen of it, which actions can be taken in it, bool [A], and whether the episode has
+    failed."""
     state = env.step(state, action)
-    return state, seen(env, state), env.action_mask(env.observe(state))
+    return state, seen(env, state), env.action_mask(env.observe(state)), failed_in(env, state)
 
 
 @jax.jit
@@ -163,7 +169,7 @@ def move_all(env: Environment, states: Any, actions: jax.Array, keys: jax.Array)
         ended = state.terminated | state.truncated
         fresh, _ = start(env, key, no_goals_like(state.desired_goal))
         state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, env.step(state, action))
-        return state, seen(env, state), env.action_mask(env.observe(state)), ended
+        return state, seen(env, state), env.action_mask(env.observe(state)), failed_in(env, state), ended
 
     return jax.vmap(one)(states, actions, keys)
 
@@ -277,9 +283,12 @@ def action_of(env: Environment, action: Any, field: str, axes: tuple[int, ...] =
     return jnp.asarray(checks.array(action, field, "numbers", shape, remedy), jnp.float32)
 
 
-def told(env: Environment, shown: dict[str, np.ndarray], state: Any, mask: jax.Array) -> dict[str, np.ndarray]:
-    """What `info` tells after a step of one environment, or of each of a batch."""
-    info = {"is_success": at_goal(env, shown["achieved_goal"], shown["desired_goal"]).astype(float)}
+def told(
+    env: Environment, reached: np.ndarray, state: Any, mask: jax.Array, failed: jax.Array
+) -> dict[str, np.ndarray]:
+    """What `info` tells after a step of one environment, or of each of a batch. reached: whether it is at its goal,
+    which is no success where the episode failed there."""
+    info = {"is_success": (reached & ~np.array(failed)).astype(float)}
     if env.discrete:
         info["action_mask"] = np.array(mask, np.int8)
     if not env.goals.finite:
@@ -361,10 +370,14 @@ class OfTask:
         """Whether these goals would have ended the episode, bool [...]."""
         return at_goal(self.env, achieved_goal, desired_goal) & self.env.ends_at_goal
 
-    def rewards(self, is_success: np.ndarray) -> np.ndarray:
-        """The rewards of what was seen last."""
+    def reached(self) -> np.ndarray:
+        """Whether what was seen last is at its goal."""
+        return at_goal(self.env, self.shown["achieved_goal"], self.shown["desired_goal"])
+
+    def rewards(self, reached: np.ndarray) -> np.ndarray:
+        """The rewards of what was seen last, where this is whether it is at its goal."""
         if self.reward_type == "sparse":
-            return is_success - 1.0
+            return reached.astype(float) - 1.0
         return self.compute_reward(self.shown["achieved_goal"], self.shown["desired_goal"], {})
 
 
@@ -372,8 +385,9 @@ class TaskGymnasium(OfTask, gymnasium.Env):
     """One environment. An episode is terminated at the goal, where the task ends there, and truncated after the task's
     number of steps.
 
-    `info`: `is_success` 0.0 or 1.0; `action_mask` int8 [A], where actions are moves, those that can be taken next;
-    `diverged`, where goals are vectors: the step led to numbers that are not finite, and was taken back.
+    `info`: `is_success` 0.0 or 1.0, and 0.0 where the episode fails; `action_mask` int8 [A], where actions are moves,
+    those that can be taken next; `diverged`, where goals are vectors: the step led to numbers that are not finite, and
+    was taken back.
 
     It says what is wrong once it is used in a process that was forked from one in which JAX had started, such as a
     worker of Gymnasium's `AsyncVectorEnv`: nothing could be computed there.
@@ -414,13 +428,14 @@ class TaskGymnasium(OfTask, gymnasium.Env):
         self.check_begun("step")
         action = action_of(self.env, action, "action")
         with on_cpu():
-            self.state, shown, mask = move(self.env, self.state, action)
+            self.state, shown, mask, failed = move(self.env, self.state, action)
         self.shown = copied(shown)
-        info = told(self.env, self.shown, self.state, mask)
+        reached = self.reached()
+        info = told(self.env, reached, self.state, mask, failed)
         info["is_success"] = float(info["is_success"])
         if "diverged" in info:
             info["diverged"] = bool(info["diverged"])
-        reward = float(self.rewards(info["is_success"]))
+        reward = float(self.rewards(reached))
         return dict(self.shown), reward, bool(self.state.terminated), bool(self.state.truncated), info
 
     def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
@@ -481,11 +496,12 @@ class TaskVector(OfTask, VectorEnv):
         """One step everywhere, actions int [num_envs] or vectors [num_envs, A]."""
         self.check_begun("step")
         actions = action_of(self.env, actions, "actions", (self.num_envs,))
-        self.state, shown, mask, fresh = move_all(self.env, self.state, actions, self.new_keys())
+        self.state, shown, mask, failed, fresh = move_all(self.env, self.state, actions, self.new_keys())
         self.shown, moved = copied(shown), ~np.array(fresh)
         terminated, truncated = np.array(self.state.terminated), np.array(self.state.truncated)
-        info = told(self.env, self.shown, self.state, mask)
-        reward = np.where(moved, self.rewards(info["is_success"]), 0.0).astype(np.float32)
+        reached = self.reached()
+        info = told(self.env, reached, self.state, mask, failed)
+        reward = np.where(moved, self.rewards(reached), 0.0).astype(np.float32)
         info["is_success"] *= moved
         # Gymnasium's marks of the environments that these infos are of.
         info |= {f"_{name}": np.ones(self.num_envs, bool) if name == "action_mask" else moved for name in info}

@@ -82,7 +82,7 @@ BRAX = {
         "hidden": [8, 9, 10],
         "achieved": lambda state: state.obs[4:6] + state.obs[8:10],
         "radius": 0.02,
-    },
+    }
 }
 """The environments of brax that draw a goal, here a tip's target: arguments of `from_brax`. That of the pusher never
 changes."""

@@ -217,7 +217,7 @@ def drawn_video(
     images: np.ndarray | None = None,
 ) -> list[bool]:
     """Play an episode of a policy for each of these goals [E, *shape], and write pictures of this height. Returns
-    whether each ends at its goal.
+    whether each ends at its goal, without a failure.
 
     seen: what the policy is given of each goal [E, ...]; None: the goals. images: uint8 [E, H, W, C], shown in the
     corner.
@@ -236,7 +236,8 @@ def drawn_video(
             yield state
             if state.terminated | state.truncated:
                 break
-        reached.append(bool(env.reached(env.achieved(state), state.desired_goal)))
+        failed = env.can_fail and bool(env.failed(state))
+        reached.append(not failed and bool(env.reached(env.achieved(state), state.desired_goal)))
         yield from [state] * fps
 
     def frames() -> Iterator[np.ndarray]:

@@ -1,6 +1,8 @@
 """Tasks whose goals are vectors are Gymnasium's goal environments too, one at a time and as a batch."""
 
+import flax.struct
 import gymnasium
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -8,7 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from infogoal_jax import UserError, envs
 from infogoal_jax.bridges import gymnasium as bridge
 from infogoal_jax.bridges.gymnasium import TaskGymnasium, TaskVector
+from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
+from infogoal_jax.goals import GoalBox
 
 STEPS = 5
 CONFIG = PlaneConfig(episode_length=STEPS, radius=0.4)
@@ -106,6 +110,44 @@ def test_goals_of_another_shape_have_no_reward(maze):
     for achieved, desired in (([0.5], [0.5]), ([[0.5, 0.5]], [0.5, 0.5]), ([np.nan, 0.5], [0.5, 0.5]), (large, large)):
         with pytest.raises(UserError, match="achieved_goal"):
             maze.compute_reward(np.array(achieved), np.array(desired), {})
+
+
+@flax.struct.dataclass
+class Cliff(GoalTask):
+    """A line whose episodes fail beyond 1.5, and on which nothing is achieved beyond 2.5."""
+
+    action_size, can_fail = 1, True
+
+    def begin(self, key):
+        return jnp.zeros(1)
+
+    def move(self, world, action):
+        return world + action
+
+    def observation(self, world):
+        return world
+
+    def achieved_goal(self, world):
+        return jnp.where(world > 2.5, jnp.nan, world)
+
+    def fails(self, world):
+        return world[0] > 1.5
+
+
+CLIFF = Cliff(GoalBox.of([0.5], [3.0]), ends_at_goal=False)
+
+
+@pytest.mark.parametrize("goal", [1.0, 2.0])
+def test_a_failure_at_the_goal_is_no_success(goal):
+    """As in training. The reward is still the one that hindsight computes."""
+    env, batch, options = TaskGymnasium(CLIFF), TaskVector(CLIFF, 2), {"goal": [goal]}
+    env.reset(seed=0, options=options)
+    batch.reset(seed=0, options=options)
+    for _ in range(int(goal)):
+        _, reward, _, truncated, info = env.step(np.ones(1))
+        _, rewards, _, _, infos = batch.step(np.ones((2, 1)))
+    assert reward == 0.0 and truncated == (goal == 2) and info["is_success"] == (goal == 1)
+    assert np.array_equal(rewards, [0, 0]) and np.array_equal(infos["is_success"], [info["is_success"]] * 2)
 
 
 def test_a_batch_starts_its_next_episodes_with_goals_of_their_own(vector):

@@ -19,6 +19,7 @@ from infogoal_jax.goals import GoalBox
 from infogoal_jax.loading import reasons_against
 from infogoal_jax.report.runs import RunTable
 from infogoal_jax.report.summary import remarks_on
+from infogoal_jax.report.video import drawn_video
 from infogoal_jax.train.episodes import run_episodes
 from infogoal_jax.train.experience import collect_epoch, ended_at_goal
 from infogoal_jax.train.rollout import collect
@@ -301,21 +302,36 @@ def test_an_episode_keeps_what_the_task_does_not():
     assert not once.truncated.any() and twice.truncated.all() and (twice.time == 2).all()
 
 
-def test_an_episode_that_fails_at_its_goal_is_no_success():
-    """Where no goal ends an episode. One falls from the square at its goal, the other stays at its own to the end."""
+AT_EDGE = np.array([[1.3, 1.0], [1.0, 1.0]], np.float32)
+
+
+def falling(**members) -> Square:
+    """A square that one falls from where one goes to the first goal at its edge; at the second one stays."""
 
     def begin(self, key):
         return jnp.ones(2, jnp.float32)
 
-    env = changed(begin=begin, can_fail=True, fails=lambda self, place: place[0] > 1.15)
-    env = env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
+    env = changed(begin=begin, can_fail=True, fails=lambda self, place: place[0] > 1.15, **members)
+    return env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
 
-    def policy(observation, goal, key):
-        return jnp.where(goal > 1.1, 1.0, 0.0)
+
+def to_goal(observation, goal, key):
+    """A step towards the goal."""
+    return jnp.where(goal > 1.1, 1.0, 0.0)
+
+
+def test_a_video_counts_no_success_where_an_episode_fails_at_its_goal(tmp_path):
+    env = falling(draw=lambda self, state: jnp.zeros((16, 16, 3), jnp.uint8))
+    assert drawn_video(env, to_goal, tmp_path / "falling.gif", AT_EDGE, seed=0, height=16) == [False, True]
+
+
+def test_an_episode_that_fails_at_its_goal_is_no_success():
+    """Where no goal ends an episode."""
+    env, policy = falling(), to_goal
 
     @jax.jit
     def run(key):
-        starts = jax.vmap(env.reset_to)(jax.random.split(key, 2), jnp.array([[1.3, 1.0], [1.0, 1.0]]))
+        starts = jax.vmap(env.reset_to)(jax.random.split(key, 2), AT_EDGE)
         rows = collect(env, starts, policy, key, 4)[1]
         return run_episodes(env, starts, policy, key), ended_at_goal(env, rows)
 
