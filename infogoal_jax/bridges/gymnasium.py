@@ -196,15 +196,15 @@ def spaces_of(env: Environment) -> tuple[gymnasium.spaces.Dict, gymnasium.Space]
 
 
 def vectors(env: Environment, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Goals [..., D] as float32. Raises `UserError` for other shapes, and for numbers that are not finite: these are
-    neither near nor far."""
-    (size,) = env.goals.shape
-    given = {"achieved_goal": achieved, "desired_goal": desired}
-    achieved, desired = (
-        checks.as_float32(checks.array(goals, field, "numbers", (..., size)), field) for field, goals in given.items()
-    )
-    require_alike(achieved, desired, f"give goals [..., {size}] of one shape")
-    return achieved, desired
+    """Goals [..., D] as float32; NaN, which is no goal, is neither near nor far. Raises `UserError` for other shapes,
+    and for infinite numbers."""
+    (size,), found = env.goals.shape, []
+    for field, goals in {"achieved_goal": achieved, "desired_goal": desired}.items():
+        goals = np.asarray(checks.array(goals, field, "numbers", (..., size), finite=False))
+        none = np.isnan(goals)
+        found.append(np.where(none, np.float32(np.nan), checks.as_float32(np.where(none, 0, goals), field)))
+    require_alike(*found, f"give goals [..., {size}] of one shape")
+    return found[0], found[1]
 
 
 def require_alike(achieved: np.ndarray, desired: np.ndarray, remedy: str) -> None:
@@ -215,7 +215,7 @@ def require_alike(achieved: np.ndarray, desired: np.ndarray, remedy: str) -> Non
 
 def at_goal(env: Environment, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
     """Whether desired goals [..., D] are achieved, bool [...]: vectors, or bits of a finite set. Raises `UserError` for
-    other shapes, and for numbers that are not finite."""
+    other shapes, and for infinite numbers."""
     if env.goals.finite:
         return among(achieved, desired, env.goals.num_goals)
     achieved, desired = vectors(env, achieved, desired)
@@ -364,6 +364,9 @@ class OfTask:
         if self.reward_type == "sparse":
             return at_goal(self.env, achieved_goal, desired_goal).astype(np.float32) - np.float32(1)
         achieved, desired = vectors(self.env, achieved_goal, desired_goal)
+        remedy = 'is no goal, which has no distance; give reward_type="sparse"'
+        for field, goals in (("achieved_goal", achieved), ("desired_goal", desired)):
+            require(not np.isnan(goals).any(), field, goals.tolist(), remedy)
         return -np.linalg.norm(achieved - desired, axis=-1)
 
     def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:

@@ -202,7 +202,7 @@ class Simulator:
         self.layers = [self.env]
         while hasattr(self.layers[-1], "env"):
             self.layers.append(self.layers[-1].env)
-        self.observed(self.env.reset(seed=0)[0])
+        self.begun(self.env.reset(seed=0)[0])
         self.datas, self.buffers, self.places = [], [], []
         self.find_state()
         self.start = None
@@ -321,11 +321,20 @@ class Simulator:
                 raise UserError(f"{name} of {self.name}: is {checks.described(found)}; its space is {wanted}")
         return {name: found.astype(np.float32) for name, found in parts.items()}
 
+    def begun(self, seen: Any) -> dict[str, np.ndarray]:
+        """What is seen after a reset. Raises `UserError` for numbers that are not finite: a network sees them, and a
+        step that leads to them is taken back, which a reset cannot be."""
+        found = self.observed(seen)
+        for name, numbers in found.items():
+            finite = np.isfinite(numbers).all()
+            require(finite, f"{name} of {self.name}", numbers.tolist(), "is not finite after a reset; mend it there")
+        return found
+
     def reset(self, seed: int) -> Row:
         """A new episode, from the same state of the simulator always."""
         self.write(self.start)
         seen, _ = self.env.reset(seed=seed)
-        return Row(self.read(), self.observed(seen), np.float32(0), np.bool_(False))
+        return Row(self.read(), self.begun(seen), np.float32(0), np.bool_(False))
 
     def step(self, action: np.ndarray) -> Row:
         """One step from the state that the environment is in; the action lies in [-1, 1]."""

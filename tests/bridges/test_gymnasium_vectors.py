@@ -107,7 +107,7 @@ def test_what_is_no_action_is_refused(action, maze):
 
 def test_goals_of_another_shape_have_no_reward(maze):
     large = [1e300, 0.5]  # Float32 has none: a goal that is infinite in it was not reached, not even by itself.
-    for achieved, desired in (([0.5], [0.5]), ([[0.5, 0.5]], [0.5, 0.5]), ([np.nan, 0.5], [0.5, 0.5]), (large, large)):
+    for achieved, desired in (([0.5], [0.5]), ([[0.5, 0.5]], [0.5, 0.5]), ([np.inf, 0.5], [0.5, 0.5]), (large, large)):
         with pytest.raises(UserError, match="achieved_goal"):
             maze.compute_reward(np.array(achieved), np.array(desired), {})
 
@@ -148,6 +148,20 @@ def test_a_failure_at_the_goal_is_no_success(goal):
         _, rewards, _, _, infos = batch.step(np.ones((2, 1)))
     assert reward == 0.0 and truncated == (goal == 2) and info["is_success"] == (goal == 1)
     assert np.array_equal(rewards, [0, 0]) and np.array_equal(infos["is_success"], [info["is_success"]] * 2)
+
+
+def test_where_no_goal_is_achieved_an_episode_goes_on():
+    """A task says so by NaN. It is no success, and hindsight may ask for it; a distance it has not."""
+    env = TaskGymnasium(CLIFF.replace(episode_length=3))
+    env.reset(seed=0, options={"goal": [3.0]})
+    for _ in range(3):
+        seen, reward, _, _, info = env.step(np.ones(1))
+    assert np.isnan(seen["achieved_goal"]).all() and (reward, info["is_success"]) == (-1.0, 0.0)
+    for pair in (("achieved_goal", "desired_goal"), ("desired_goal", "achieved_goal")):
+        assert env.compute_reward(*(seen[name] for name in pair), {}) == -1.0
+    dense = TaskGymnasium(CLIFF, reward_type="dense")
+    with pytest.raises(UserError, match=r"^achieved_goal = \[nan\]: is no goal, .*give reward_type"):
+        dense.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})
 
 
 def test_a_batch_starts_its_next_episodes_with_goals_of_their_own(vector):

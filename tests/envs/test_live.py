@@ -244,6 +244,17 @@ class Silent(Mass):
         super().reset(**given)
 
 
+class Lost(Mass):
+    """Which does not know where it begins, or where it shall go."""
+
+    def __init__(self, member):
+        super().__init__()
+        self.member = member
+
+    def seen(self):
+        return super().seen() | {self.member: np.full(2, np.nan)}
+
+
 class Nowhere(Mass):
     """Without a threshold."""
 
@@ -263,6 +274,8 @@ IMAGE = spaces.Box(0, 255, (8, 8, 3), np.uint8)
         (lambda: Other(action=spaces.Box(-np.inf, np.inf, (2,))), {}, "action_space = .*give finite bounds"),
         (Hidden, {}, "make = 'Hidden': goes elsewhere after 1 steps when put back; give read and write"),
         (Noisy, {}, "make = 'Noisy': goes elsewhere .* a step may draw no random numbers"),
+        (lambda: Lost("achieved_goal"), {}, r"achieved_goal of Lost = \[nan, nan\]: is not finite after a reset"),
+        (lambda: Lost("desired_goal"), {}, r"desired_goal of Lost = \[nan, nan\]: is not finite after a reset"),
         (Nowhere, {}, "radius = None: the environment has no distance_threshold"),
         (Farther, {}, "distance_threshold = 0.3: compute_reward takes goals that are farther away"),
         (Mass, {"episode_length": None}, "episode_length = None: the environment has no time limit"),
