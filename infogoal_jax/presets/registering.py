@@ -9,7 +9,7 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import require
-from infogoal_jax.field_types import checked
+from infogoal_jax.field_types import LARGEST_WHOLE, checked
 from infogoal_jax.presets import plane, registry
 from infogoal_jax.presets.loading import check_preset
 from infogoal_jax.presets.preset import Preset
@@ -37,14 +37,15 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     require(not taken, "name", name, "is a task already; give yours another name")
     is_preset = preset is None or isinstance(preset, Preset)
     require(is_preset, "preset", preset, "give a presets.Preset, or None")
-    fields = {
-        field.name: (field.type, getattr(env, field.name))
-        for field in dataclasses.fields(GoalTaskConfig)
-        if field.name != "dataset"
+    values = {
+        "episode_length": checks.whole(env.episode_length, "env.episode_length", 1, LARGEST_WHOLE),
+        "radius": checks.number(env.radius, "env.radius", remedy="give a distance above 0"),
+        "ends_at_goal": checks.flag(env.ends_at_goal, "env.ends_at_goal"),
     }
+    types = {field.name: field.type for field in dataclasses.fields(GoalTaskConfig)}
     config = dataclasses.make_dataclass(
         f"{type(env).__name__}Config",
-        [(name, *of_field) for name, of_field in fields.items()],
+        [(name, types[name], value) for name, value in values.items()],
         bases=(GoalTaskConfig,),
         namespace={"__doc__": GoalTaskConfig.__doc__, "__module__": __name__},
         frozen=True,
@@ -54,7 +55,7 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     check_contract(env)
 
     def make(config: GoalTaskConfig) -> GoalTask:
-        return recorded_in(env.replace(**{field: getattr(config, field) for field in fields}), config.dataset)
+        return recorded_in(env.replace(**{field: getattr(config, field) for field in values}), config.dataset)
 
     def traits(config: GoalTaskConfig) -> Traits:
         recorded = bool(config.dataset) or env.recorded is not None

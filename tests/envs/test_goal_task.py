@@ -165,6 +165,20 @@ def test_a_task_that_does_not_say_how_large_its_actions_are_is_refused():
         presets.register("square", kind(GOALS))
 
 
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ({"radius": jnp.sqrt}, "^env.radius = .*sqrt.*: give a distance above 0$"),
+        ({"radius": [0.1, 0.2]}, r"^env.radius = \[0.1, 0.2\]: give a distance above 0$"),
+        ({"episode_length": jnp.sqrt}, "^env.episode_length = .*: give a whole number from 1"),
+        ({"ends_at_goal": jnp.ones(())}, "^env.ends_at_goal = .*: give True or False"),
+    ],
+)
+def test_members_of_other_kinds_are_refused(members, said):
+    with pytest.raises(UserError, match=said):
+        presets.register("square", Square(GOALS, **members))
+
+
 @pytest.mark.parametrize(("radius", "field"), [(0.0, "env.radius"), (-1.0, "env.radius"), (5.0, "env.reached")])
 def test_a_radius_that_decides_nothing_is_refused(radius, field):
     with pytest.raises(UserError, match=f"^{field} = "):
@@ -231,8 +245,8 @@ def test_a_task_of_the_package_keeps_its_name():
         presets.register("point_maze", Square(GOALS))
     assert envs.registry["point_maze"] is before
     presets.register("square", Square(GOALS))
-    presets.register("square", Square(GOALS, radius=0.3))
-    assert presets.load("square").env.radius == 0.3
+    presets.register("square", Square(GOALS, radius=np.float32(0.5), episode_length=np.int64(50)))
+    assert presets.load("square").env.radius == 0.5
 
 
 def test_a_sampler_of_one_goal_is_refused():
