@@ -114,6 +114,11 @@ def check_members(env: Environment) -> None:
         require(LEAST_SQUARE <= square <= LARGEST_FLOAT, "env.radius", env.radius, remedy)
     for name in ("action_size", "episode_length", "num_cells"):
         checks.whole(checks.called(f"env.{name}", getattr, env, name), f"env.{name}", 1, LARGEST_WHOLE)
+    if isinstance(env, GoalTask) and env.action_bounds is not None:
+        field, given = "env.action_bounds", env.action_bounds
+        require(not env.discrete, field, given, "is of actions that are vectors, and these are moves; leave it out")
+        low, high = np.asarray(checks.array(given, field, "numbers", (2, env.action_size)))
+        require((low < high).all(), field, given, "give the lowest actions, then the highest")
     if env.num_observations is not None:
         checks.whole(env.num_observations, "env.num_observations", 1)
     checks.text(env.source, "env.source", "say in words what the data is")

@@ -87,7 +87,7 @@ class GoalTask(Environment):
     discrete = False
     source = "simulated"
     action_bounds = None
-    """float32 [2, A], what -1 and 1 of an action are where it is taken; None: the same."""
+    """Numbers [2, A], what -1 and 1 of an action are where it is taken; None: the same."""
     starts = STARTS
     """Starts that are drawn to find one at which the goal is not reached yet."""
 
@@ -122,7 +122,8 @@ class GoalTask(Environment):
         """The action between the bounds that it has where it is taken."""
         if self.action_bounds is None:
             return action
-        return jnp.clip(between(self.action_bounds, action), *self.action_bounds)
+        bounds = jnp.asarray(self.action_bounds, jnp.float32)
+        return jnp.clip(between(bounds, action), *bounds)
 
     def fails(self, world: Any) -> jax.Array:
         """Whether the episode has failed in this world, bool; where `can_fail`."""

@@ -12,7 +12,7 @@ import pytest
 
 from infogoal_jax import UserError, envs, make_train, presets
 from infogoal_jax.agents.td3 import TD3Config
-from infogoal_jax.envs.contract import check_goals
+from infogoal_jax.envs.contract import check_contract, check_goals
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
 from infogoal_jax.goals import GoalBox
@@ -177,6 +177,19 @@ def test_a_task_that_does_not_say_how_large_its_actions_are_is_refused():
 def test_members_of_other_kinds_are_refused(members, said):
     with pytest.raises(UserError, match=said):
         presets.register("square", Square(GOALS, **members))
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.asarray, jnp.asarray])
+def test_bounds_of_actions_are_given_as_any_array(kind):
+    env = changed(action_bounds=kind([[-1.0, 0.0], [3.0, 1.0]]))
+    check_contract(env)
+    assert env.own_action(jnp.array([0.0, 1.0])).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("bounds", ["wide", [-1, 1], [[-1, -1, -1], [1, 1, 1]], [[1, 1], [-1, -1]], [[-1], [1, 1]]])
+def test_what_bounds_no_actions_is_refused(bounds):
+    with pytest.raises(UserError, match="^env.action_bounds"):
+        check_contract(changed(action_bounds=bounds))
 
 
 @pytest.mark.parametrize(("radius", "field"), [(0.0, "env.radius"), (-1.0, "env.radius"), (5.0, "env.reached")])
