@@ -15,11 +15,12 @@ import shlex
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from infogoal_jax import checks
 from infogoal_jax.data import frames, frames_check, pictures
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.data.members import MOST_FAULTS
@@ -101,7 +102,18 @@ def import_folder(
     Raises `UserError` for the mistakes in what is given, all those of the CSV at once, then all those of the images; it
     names the file, the row and the remedy.
     """
-    images, table = Path(images), Path(table)
+    images = Path(checks.path(images, "images", "give a folder of images"))
+    table = Path(checks.path(table, "table", "give a CSV"))
+    checks.path(out, "out", "give the file to write")
+    wrap = checked_names(wrap)
+    if size is not None:
+        remedy = "give height and width, at least 1 pixel each, such as (64, 64)"
+        pixels = np.asarray(checks.array(size, "size", "whole numbers", (2,), remedy))
+        require((pixels >= 1).all(), "size", size, remedy)
+        size = tuple(pixels.tolist())
+    checks.text(name, "name", "give words, or leave it out")
+    if progress is not None:
+        checks.function(progress, "progress", 1, "give a function of a share, or leave it out")
     require(
         images.is_dir(),
         "images",
@@ -113,7 +125,7 @@ def import_folder(
     joints = tuple(column for column in columns if column.startswith("joint_"))
     moves = set(columns) & set(MOVES)
     check_columns(table, columns, joints, bool(moves))
-    require(not (wrap and moves), "wrap", tuple(wrap), f"{table} lists recorded moves; wrap is for a grid of poses")
+    require(not (wrap and moves), "wrap", wrap, f"{table} lists recorded moves; wrap is for a grid of poses")
     faults = rows[0].faults
     frame_of, frame_rows = number_images(rows)
     state = np.arange(len(frame_rows))
@@ -146,12 +158,18 @@ def import_folder(
     return dataset
 
 
+def checked_names(wrap: Any) -> tuple[str, ...]:
+    """The names of joints. One name alone would be taken for its letters."""
+    listed = isinstance(wrap, Sequence | set | frozenset) and not isinstance(wrap, str)
+    names = tuple(wrap) if listed else ()
+    require(listed and all(isinstance(name, str) for name in names), "wrap", wrap, 'give names in a list: ["wrist"]')
+    return names
+
+
 def read_images(
     folder: Path, rows: list[Row], size: tuple[int, int] | None, progress: Callable[[float], None] | None
 ) -> tuple[np.ndarray, list[int]]:
     """The images in the order of the rows, uint8 RGB [K, H, W, 3], and height and width of the first file."""
-    if size is not None:
-        require(min(size) >= 1, "size", tuple(size), "give height and width, at least 1 pixel each")
     first = read_image(folder, rows[0])
     if first is None:
         raise UserError(rows[0].faults[0])

@@ -275,6 +275,33 @@ def test_a_table_that_is_not_utf8_is_named(laboratory, tmp_path):
         import_folder(tmp_path / "nothing", tmp_path / "table.csv", tmp_path / "out.npz")
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"size": 8},
+        {"size": (8, 8, 8)},
+        {"size": (8, 8.5)},
+        {"size": (0, 8)},
+        {"wrap": "turn"},
+        {"wrap": (1,)},
+        {"wrap": None},
+        {"name": 3},
+        {"progress": 3},
+        {"images": 3},
+        {"table": None},
+        {"out": ""},
+    ],
+    ids=str,
+)
+def test_arguments_of_other_kinds_are_named(wrong, laboratory, tmp_path):
+    """Before anything is read."""
+    (field,) = wrong
+    given = {"images": laboratory.folder, "table": tmp_path / "gone.csv", "out": tmp_path / "out.npz"}
+    with pytest.raises(UserError, match=f"^{field} = .*: give ") as caught:
+        import_folder(**(given | wrong))
+    assert "\n" not in str(caught.value)
+
+
 GRID_MISTAKES = {  # CSV, joints that wrap, and what the message must say.
     "a pose twice": (grid(extra="6.png,120,0.2\n"), (), ["row 8", "'6.png'", "has the joints of row 5"]),
     "an image twice": (grid(extra="0.png,360,0.1\n"), (), ["row 8", "'0.png'", "in row 2 already"]),
