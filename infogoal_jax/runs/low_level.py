@@ -95,7 +95,7 @@ def read(path: str, env: Environment) -> tuple[dict[str, Any], LowLevel]:
         str(file),
         f"does not fit the {env.space.size} numbers of a target state and the {env.action_size} "
         f"{'moves' if env.discrete else 'numbers of an action'} of {task} as it is configured; train one with "
-        f"`infogoal pretrain {task}`",
+        f"`infogoal pretrain {task}` and the same --env flags, or choose another --agent",
     )
     words = archives.checksum(np.frombuffer(low_level.program.encode(), np.uint8), *policy.constants)
     return about | {"content": about.get("content", words)}, low_level

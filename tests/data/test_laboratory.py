@@ -91,7 +91,8 @@ def test_the_low_level_of_another_arm(capsys):
     photograph_turntable(Path("photos"))
     run("data import photos photos/poses.csv --out table.npz --wrap turn")
     assert main(ON_THE_TABLE.split()) == 2
-    assert "does not fit the 2 numbers of a target state and the 4 moves" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "does not fit the 2 numbers of a target state and the 4 moves" in error and "same --env flags" in error
     run("pretrain object_manipulation --env.dataset table.npz --num-epochs 10 --seeds 1 --out low")
     assert tables.read_table(Path("low"), "evaluations")[-1]["train_goal/success_rate"] > 0.9
     run(f"{ON_THE_TABLE} --agent.low-level low")
