@@ -529,8 +529,8 @@ CALLS = {
     "of_arrays of nothing": Call(of_arrays, {"arrays": RECORDED}, {"arrays": never}),
     "with_recordings": Call(
         with_recordings,
-        {"task": MAZE, "episodes": Episodes(**WALK), "seed": 0},
-        {"task": lambda value: value is MAZE, "episodes": never, "seed": lambda value: whole(value, 0, 2**32 - 1)},
+        {"task": MAZE, "episodes": Episodes(**WALK)},
+        {"task": lambda value: value is MAZE, "episodes": never},
     ),
     "episodes_of": Call(minari.episodes_of, {"dataset": ""}, {"dataset": never}),
     "to_minari": Call(

@@ -29,16 +29,15 @@ AT_ONCE = 2**28
 larger than its memory, which is said then."""
 
 
-def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTask:
-    """The task with recordings to learn from. seed: of desired goals, where the recordings tell none: each episode then
-    has a training goal of the task.
+def with_recordings(task: GoalTask, episodes: Episodes) -> GoalTask:
+    """The task with recordings to learn from. Where they tell no desired goals, each episode has a training goal of the
+    task.
 
     What was achieved is read from the file, or else from its observations by `GoalTask.achieved_in`. Raises `UserError`
     for recordings of another task.
     """
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
     require(isinstance(task, GoalTask), "task", type(task).__name__, "give a GoalTask")
-    checks.seed(seed)
     seen, size = one_observation(task), task.goals.shape[0]
     observations = task.recorded_observation(episodes)
     require(
@@ -69,7 +68,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
     if episodes.desired_goals is not None:
         task.goals.checked(episodes.desired_goals, "desired_goals", 1)
-    rows = rows_of(task, observations, achieved, episodes, seed)
+    rows = rows_of(task, observations, achieved, episodes)
     given = [episodes.observations, episodes.actions, episodes.achieved_goals, episodes.desired_goals]
     return task.replace(recorded=rows, recorded_checksum=checksum(*(each for each in given if each is not None)))
 
@@ -175,9 +174,7 @@ def naming_field(field: str, value: str, path: str) -> Iterator[None]:
         raise UserError(f"{field} = {value!r}: {str(error).removeprefix(f'dataset = {path!r}: ')}") from error
 
 
-def rows_of(
-    task: GoalTask, observations: np.ndarray, achieved: np.ndarray, episodes: Episodes, seed: int
-) -> Trajectories:
+def rows_of(task: GoalTask, observations: np.ndarray, achieved: np.ndarray, episodes: Episodes) -> Trajectories:
     """The episodes as rows as long as the longest of them, each with as many whole episodes as follow each other in
     it."""
     lengths, (row, column) = episodes.lengths + 1, episodes.places()
@@ -194,7 +191,7 @@ def rows_of(
 
     desired = episodes.desired_goals
     if desired is None:
-        keys = jax.random.split(jax.random.key(seed), len(lengths))
+        keys = jax.random.split(jax.random.key(0), len(lengths))
         desired = np.repeat(np.asarray(jax.jit(jax.vmap(task.goals.draw))(keys)), lengths, 0)
     last = episodes.last
     before_last = np.append(last[1:], False) & ~last
