@@ -295,19 +295,20 @@ class ExportedPolicy:
     def values(self, observation, goal, noise=None):
         """The value of every action, float32 [A]: an observation, the input of a goal or the vector that it is, and
         standard normal numbers [d] for a sample of its code; None for the code's mean."""
+        self.check_actions(discrete=True)
         return self.run(observation, self.goal(goal), self.mean() if noise is None else noise)[0]
 
     def act(self, observation, goal, action_mask=None, noise=None):
         """The legal action with the highest value, int. action_mask: bool [A]; None: all are legal."""
-        self.check_actions(discrete=True)
         values = self.values(observation, goal, noise)
         return int(np.where(True if action_mask is None else action_mask, values, -np.inf).argmax())
 
     def drive(self, observation, goal, step, target=None, noise=None, body=None):
-        """The action at this step of an episode, and the target to give with the next one. body: where the robot is,
+        """The action at this step of an episode, and the target to give with the next one; without a target one is
+        chosen. body: where the robot is,
         where the observation does not say it, as an image does not: the angles of its joints."""
         self.check_actions(discrete=False)
-        decides = np.bool_(step % self.about["interval"] == 0)
+        decides = np.bool_(target is None or step % self.about.get("interval", 1) == 0)
         target = np.zeros(self.program["inputs"][1][4][0], np.float32) if target is None else target
         body = observation if body is None else body
         return tuple(

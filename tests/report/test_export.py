@@ -283,6 +283,19 @@ def test_a_policy_of_choices_drives_nothing(exported):
         exported.drive(None, exported.goals[0], 0)
 
 
+def test_a_policy_of_two_levels_values_nothing_and_chooses_a_target_where_it_has_none(tmp_path):
+    """At whatever step it is asked first."""
+    case = case_of(hand_made_points.config("none", **SHORT), hand_made_points.steered())
+    policy = export.export_params(*case, tmp_path / "policy.npz", {})
+    (shape, kind), seen = policy.program["inputs"][1][1], np.array([1.3, 0.7, 0.5] + [0.0] * 7)
+    goal = np.ones(shape, kind)
+    with pytest.raises(ValueError, match="actions are vectors: call drive"):
+        policy.values(seen, goal)
+    first, later = (policy.drive(seen, goal, step)[1] for step in (0, 1))
+    assert np.array_equal(first, later) and first.any()
+    assert np.array_equal(policy.drive(seen, goal, 1, 0 * first)[1], 0 * first)
+
+
 def test_a_file_that_is_no_policy_is_refused(tmp_path):
     np.savez(tmp_path / "images.npz", images=np.zeros(3))
     with pytest.raises(ValueError, match=r"images.npz: is no policy of `infogoal export`"):
