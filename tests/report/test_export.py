@@ -57,8 +57,15 @@ def exported(shelf, tmp_path_factory) -> policy_file.ExportedPolicy:
     return export.export_params(*shelf, tmp_path_factory.mktemp("export") / "policy.npz", {"seed": 0})
 
 
+def standardised():
+    """Whose goal encoder gives every image the same mean and contrast."""
+    config = hand_made_frames.manipulation_config("infogoal", **SHORT)
+    return dataclasses.replace(config, learner=dataclasses.replace(config.learner, standardise_images=True))
+
+
 CASES = {
     "codes that depend on the state": (lambda: hand_made.config("gcb", **SHORT), hand_made.environment),
+    "image goals of one contrast, as those of Fetch are": (standardised, hand_made_frames.manipulation),
     "image goals": (lambda: hand_made_frames.manipulation_config("infogoal", **SHORT), hand_made_frames.manipulation),
 }
 
