@@ -104,6 +104,8 @@ def check_members(env: Environment) -> None:
     asked = ("goals", "action_size", "episode_length", "source")
     missing = [name for name in asked if not hasattr(env, name)]
     require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
+    is_leaf = jax.tree_util.all_leaves([env])
+    require(not is_leaf, "env", type(env).__name__, "is no pytree; write @flax.struct.dataclass above its class")
     check_kind(env)
     if isinstance(env, GoalTask):
         require(not env.goals.finite, "env.goals", type(env.goals).__name__, "a GoalTask has a GoalBox.of")

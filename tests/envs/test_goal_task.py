@@ -179,6 +179,14 @@ def test_members_of_other_kinds_are_refused(members, said):
         presets.register("square", Square(GOALS, **members))
 
 
+def test_a_task_that_is_no_pytree_is_refused():
+    class Forgotten(Square):
+        """Without the decorator."""
+
+    with pytest.raises(UserError, match="^env = 'Forgotten': is no pytree; write @flax.struct.dataclass above"):
+        presets.register("forgotten", Forgotten(GOALS))
+
+
 @pytest.mark.parametrize("kind", [list, tuple, np.asarray, jnp.asarray])
 def test_bounds_of_actions_are_given_as_any_array(kind):
     env = changed(action_bounds=kind([[-1.0, 0.0], [3.0, 1.0]]))
