@@ -56,13 +56,20 @@ def with_recordings(task: GoalTask, episodes: Episodes) -> GoalTask:
     )
     bounds, own = episodes.action_bounds, task.action_bounds
     if bounds is not None and own is not None:
-        remedy = f"give recordings of the task, whose actions have {np.asarray(own).tolist()}"
-        require(np.allclose(bounds, own), "action_bounds", bounds.tolist(), remedy)
+        own = np.asarray(own)
+        remedy = f"give recordings of the task, whose actions have {own.tolist()}"
+        same = own.shape == bounds.shape and np.allclose(bounds, own)
+        require(same, "action_bounds", bounds.tolist(), remedy)
     achieved = episodes.achieved_goals
     if achieved is None:
+        example = jax.ShapeDtypeStruct(episodes.observations.shape[1:], episodes.observations.dtype)
+        wanted = checks.Spec((size,), "float32")
+        checks.returned(checks.traced("achieved_in", task.achieved_in, example), "achieved_in", wanted)
         achieved_in = jax.jit(jax.vmap(task.achieved_in))
         parts = np.array_split(episodes.observations, math.ceil(episodes.observations.nbytes / AT_ONCE))
         achieved = np.concatenate([np.asarray(achieved_in(part)) for part in parts])
+        infinite = achieved[np.isinf(achieved).any(1)][:1]
+        require(not len(infinite), "achieved_in", infinite.tolist(), "return finite numbers, or NaN for no goal")
     for name, goals in (("achieved_goals", achieved), ("desired_goals", episodes.desired_goals)):
         fits = goals is None or goals.shape[1:] == (size,)
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")

@@ -505,6 +505,20 @@ def test_recordings_of_another_task_are_refused(changes, said):
     assert said in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("achieved_in", "said"),
+    [
+        (lambda self, seen: seen[:1], "^achieved_in: is float32 .1.; give float32 .2.$"),
+        (lambda self, seen: seen / 0, "^achieved_in = .*inf.*: return finite numbers"),
+        (lambda self, seen: missing, "^achieved_in: raised NameError"),  # noqa: F821
+    ],
+)
+def test_what_reads_no_goals_from_observations_is_refused(achieved_in, said):
+    kind = type("Wrong", (type(maze()),), {"achieved_in": achieved_in})
+    with pytest.raises(UserError, match=said):
+        with_recordings(kind(maze().goals), of_arrays(recorded(observations=SIDE, actions=SIDE)))
+
+
 def recorded_in(rows: Trajectories) -> Episodes:
     """The episodes of rows that a task with continuous goals was collected in, to be saved: those of at least one
     step."""
@@ -602,7 +616,7 @@ def test_a_policy_of_minari_s_recordings_acts_between_the_bounds_that_they_had(t
 
 def test_recordings_with_other_bounds_of_actions_than_the_task_s_are_refused():
     class Stronger(type(maze())):
-        action_bounds = np.array([[-2.0, -2.0], [2.0, 2.0]], np.float32)
+        action_bounds = ((-2.0, -2.0), (2.0, 2.0))
 
     task = Stronger(maze().goals)
     for bounds, fits in ((2.0, True), (1.0, False)):
