@@ -337,9 +337,10 @@ class Simulator:
         return Row(self.read(), self.begun(seen), np.float32(0), np.bool_(False))
 
     def step(self, action: np.ndarray) -> Row:
-        """One step from the state that the environment is in; the action lies in [-1, 1]."""
+        """One step from the state that the environment is in; the action lies in [-1, 1]. It is clipped to the bounds
+        of the environment's own, which a rounded sum may miss."""
         space = self.env.action_space
-        action = between((space.low, space.high), action).astype(space.dtype)
+        action = np.clip(between((space.low, space.high), action), space.low, space.high).astype(space.dtype)
         seen, _, terminated, truncated, _ = self.env.step(action)
         away = np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) >= self.radius
         return Row(self.read(), self.observed(seen), np.float32(bool(terminated) and away), np.bool_(truncated))

@@ -205,6 +205,19 @@ def test_actions_reach_from_bound_to_bound():
     assert np.array_equal(task.own_action(np.array([[-1, -1], [0, 0], [2, 1]])), given)
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_an_action_at_a_bound_lies_in_the_environments_space(kind):
+    """The sum of middle and half width is rounded, and missed the bound; an environment may refuse such an action."""
+    low, high = np.random.default_rng(0).uniform([[-1], [0.01]], [[-0.01], [1]], (2, 50)).astype(kind)
+    one = live.Simulator(Mass, None, None)
+    one.env.action_space, given = spaces.Box(low, high, dtype=kind), []
+    one.env.move = given.append
+    for action in (-1, 1, -3, 3):
+        one.step(np.full(50, action, np.float32))
+    assert all(one.env.action_space.contains(action) for action in given)
+    np.testing.assert_allclose(given, [low, high, low, high], atol=1e-7)
+
+
 def test_bounds_are_rounded_inwards():
     space = spaces.Box(np.array([-0.7, 0.0]), np.array([0.1, 0.7]), dtype=np.float64)
     low, high = live.within(space)
