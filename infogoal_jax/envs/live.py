@@ -50,7 +50,7 @@ class Row(NamedTuple):
     bytes: uint32 [W], the simulator's state.
     obs: dictionary of float32.
     done: float32, the episode has failed.
-    cut: bool, the environment has truncated it.
+    cut: bool, the environment has truncated it, or the task has ended it.
     """
 
     bytes: jax.Array
@@ -60,7 +60,7 @@ class Row(NamedTuple):
 
     @property
     def over(self) -> bool:
-        """Of one environment: whether its episode has failed or was truncated."""
+        """Of one environment: whether its episode is over."""
         return bool(self.done or self.cut)
 
 
@@ -69,8 +69,10 @@ class LiveTask(AdaptedTask):
     """A Gymnasium environment as a task: its world is a `Row`."""
 
     def step(self, state: Episode, action: jax.Array) -> Episode:
-        """One step. What the environment truncates is truncated."""
-        state = super().step(state, action)
+        """One step. What the environment truncates is truncated. Where the episode is over, also at its goal, the
+        environment is not stepped: it may refuse."""
+        over = state.terminated | state.truncated
+        state = super().step(state.replace(world=state.world._replace(cut=state.world.cut | over)), action)
         return state.replace(truncated=state.truncated | (state.world.cut & ~state.terminated))
 
     def recorded_observation(self, episodes: Episodes) -> np.ndarray:
@@ -104,6 +106,7 @@ def from_gymnasium(
     radius: distance below which a goal is reached; None: the environment's `distance_threshold`.
     episode_length: steps of an episode, at most the environment's own time limit, which None is. ends_at_goal: whether
         reaching the goal ends it. Where the environment terminates elsewhere than at its goal, the episode has failed.
+        Where it terminates at its own goal it is stepped on, since episodes for other goals go on there.
     read, write: (environment) -> its state as an array of numbers, and (environment, that array) -> None; None: what
         MuJoCo's `MjData` holds, with every number and short array among the environment's attributes.
     simulators: environments that are made, a thread each; 0: one for each core, at most 8.
@@ -205,6 +208,8 @@ class Simulator:
         self.begun(self.env.reset(seed=0)[0])
         self.datas, self.buffers, self.places = [], [], []
         self.find_state()
+        self.ended = False
+        """Whether the last step ended the episode, be it at the goal."""
         self.start = None
         self.start = self.read()
 
@@ -334,6 +339,7 @@ class Simulator:
         """A new episode, from the same state of the simulator always."""
         self.write(self.start)
         seen, _ = self.env.reset(seed=seed)
+        self.ended = False
         return Row(self.read(), self.begun(seen), np.float32(0), np.bool_(False))
 
     def step(self, action: np.ndarray) -> Row:
@@ -342,14 +348,27 @@ class Simulator:
         space = self.env.action_space
         action = np.clip(between((space.low, space.high), action), space.low, space.high).astype(space.dtype)
         seen, _, terminated, truncated, _ = self.env.step(action)
-        away = np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) >= self.radius
-        return Row(self.read(), self.observed(seen), np.float32(bool(terminated) and away), np.bool_(truncated))
+        self.ended = bool(terminated or truncated)
+        failed = bool(terminated) and not self.at_goal(seen)
+        return Row(self.read(), self.observed(seen), np.float32(failed), np.bool_(truncated))
+
+    def at_goal(self, seen: dict[str, np.ndarray]) -> bool:
+        """Whether the environment's own goal is achieved where this is seen."""
+        return bool(np.linalg.norm(np.subtract(seen["achieved_goal"], seen["desired_goal"])) < self.radius)
 
     def following(self, row: Row, action: np.ndarray) -> Row:
         """The step after a row, to which the environment is put back; one that is over stays: its next state is not
         used, and an environment may refuse to step."""
         self.write(row.bytes)
-        return row if row.over else self.step(action)
+        if row.over:
+            return row
+        try:
+            return self.step(action)
+        except Exception as error:
+            if isinstance(error, UserError) or not self.at_goal(row.obs):
+                raise
+            remedy = "it was at its own goal, where episodes for other goals go on: let it be stepped there"
+            raise UserError(f"{self.name}: raised {reason(error)}; {remedy}") from error
 
     def check_put_back(self) -> None:
         """Raise `UserError` unless an episode with the environment put back into each state, and another played in
@@ -359,7 +378,7 @@ class Simulator:
         alone, other = [self.reset(1)], self.reset(2)
         self.reset(1)
         for action in actions:
-            alone += [] if alone[-1].over else [self.step(action)]
+            alone += [] if self.ended else [self.step(action)]
         row = self.reset(1)
         for number in range(len(alone)):
             same = all(np.array_equal(row.obs[name], alone[number].obs[name], equal_nan=True) for name in PARTS)
@@ -369,6 +388,7 @@ class Simulator:
             require(same, "make", self.name, f"goes elsewhere {where} when put back; {remedy}")
             if number + 1 < len(alone):
                 other = self.following(other, -actions[number])
+                other = self.reset(2) if self.ended else other
                 row = self.following(row, actions[number])
 
 

@@ -193,6 +193,43 @@ def test_an_environment_that_is_over_is_not_stepped():
     assert ends == [False, False, True, True, True]
 
 
+class Done(Mass):
+    """It is over at its goal, and refuses another step."""
+
+    over = False
+
+    def begin(self):
+        super().begin()
+        self.over = False
+
+    def step(self, action):
+        assert not self.over, "call reset"
+        seen, reward, lost, _, info = super().step(action)
+        self.over = info["is_success"] or lost
+        return seen, reward, self.over, False, info
+
+
+def towards(task, state, steps):
+    """The states after so many steps to the goal that the environment has drawn."""
+    states, step, goal = [state], jax.jit(task.step), np.asarray(state.world.obs["desired_goal"])
+    for _ in range(steps):
+        push = np.clip(3 * (goal - np.asarray(task.achieved(states[-1]))), -1, 1).astype(np.float32)
+        states.append(step(states[-1], push))
+    return states[1:]
+
+
+def test_an_environment_whose_episode_ended_at_its_goal_is_not_stepped():
+    """As training and evaluation step all environments, and use none of the states after an end; where an episode for
+    another goal goes on, what is refused is one line."""
+    task = envs.from_gymnasium(Done, episode_length=LIMIT, num_evaluated=2)
+    ends = [bool(state.terminated) for state in towards(task, jax.jit(task.reset)(KEYS[1]), LIMIT)]
+    assert ends == sorted(ends) and ends[-1] and not ends[0]
+    start = jax.jit(task.reset)(KEYS[1])
+    other = start.replace(desired_goal=-start.desired_goal)
+    with pytest.raises(ValueError, match="Done: raised AssertionError: call reset; it was at its own goal, where"):
+        jax.block_until_ready(towards(task, other, LIMIT))
+
+
 def test_actions_reach_from_bound_to_bound():
     """And what lies within them is not changed."""
     task = envs.from_gymnasium(lambda: Mass(low=(0, -4), high=(1, 4)), episode_length=LIMIT, num_evaluated=2)
