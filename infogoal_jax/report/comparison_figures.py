@@ -3,6 +3,7 @@
 
 import dataclasses
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 
 from infogoal_jax import checks, presets
 from infogoal_jax.errors import require, require_known
-from infogoal_jax.loading import load_environment
+from infogoal_jax.loading import load_environment, traits_declared
 from infogoal_jax.report.canvas import (
     ANY,
     NOT_NEGATIVE,
@@ -26,7 +27,7 @@ from infogoal_jax.report.canvas import (
     save,
     seeds_in_words,
 )
-from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, progress, success_within
+from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, success_within
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, evaluated_masks, load_run, table_of
 from infogoal_jax.runs.configuration import DATA
 from infogoal_jax.runs.folder import PREFIX
@@ -188,9 +189,18 @@ def entry_of(title: str, table: RunTable) -> str:
     return f"{title}, {count} seed{'s' if count > 1 else ''}"
 
 
+def shared_progress(compared: list[Compared], env) -> tuple[Callable[[Compared, RunTable], np.ndarray], str]:
+    """(run, one of its tables [E]) -> how far its training was [E], and in what all runs count: environment steps, or
+    updates where one of them learns offline and takes no steps."""
+    declared = [traits_declared(each.run.config) for each in compared]
+    if any(env.recorded is not None if traits is None else traits.recorded for traits in declared):
+        return lambda each, table: table.epochs * each.run.config.updates_per_epoch, "updates"
+    return lambda each, table: table.values["env_steps"].mean(0), "environment steps"
+
+
 def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], env) -> Figure:
     """These metrics against progress of training, a panel each with a curve for every run that has it."""
-    titles = legend_titles(compared)
+    titles, (steps_of, label) = legend_titles(compared), shared_progress(compared, env)
     without = [
         f"{title} has no {metric}"
         for metric in metrics
@@ -205,11 +215,10 @@ def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], e
     handles = {}
     for axes, metric in zip(grid, metrics, strict=False):
         bounds = next((bounds for bounds, names in BOUNDS.items() if metric.split("/")[-1] in names), ANY)
-        labels, ends = {}, []
+        ends = []
         for each, title, colour in zip(compared, titles, COLOURS, strict=False):
             if (table := table_with(metric, each)) is not None:
-                steps, label = progress(each.run.config, table, env)
-                labels[label] = None
+                steps = steps_of(each, table)
                 ends.append(steps[-1])
                 draw_curve(axes, steps, table.values[metric], colour, entry_of(title, table), bounds)
         if bounds == SHARE:
@@ -217,7 +226,7 @@ def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], e
         else:
             axes.set_ylabel(metric)
             axes.grid()
-        finish_progress_axis(axes, " or ".join(labels), max(ends))
+        finish_progress_axis(axes, label, max(ends))
         handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     for axes in grid[len(metrics) :]:
         axes.set_visible(False)
@@ -228,21 +237,21 @@ def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], e
 def comparison(compared: list[Compared], env) -> Figure:
     """Success against progress of training, beside success within so many steps at the last evaluation; training goals
     above test goals."""
-    runs, titles = [each.run for each in compared], legend_titles(compared)
+    titles, (steps_of, label) = legend_titles(compared), shared_progress(compared, env)
     groups = {group: mask for group, mask in evaluated_masks(env.goals).items() if group != "validation"}
-    heading = f"{runs[0].config.task.replace('_', ' ')}: success while training, and by length at the last evaluation"
+    task = compared[0].run.config.task.replace("_", " ")
+    heading = f"{task}: success while training, and by length at the last evaluation"
     figure = empty_figure(heading, small_print(compared, titles), (11, 1.4 + 3.2 * len(groups)))
     for (left, right), group in zip(figure.subplots(len(groups), 2, squeeze=False), groups, strict=True):
-        labels, ends = {}, []
+        ends = []
         for each, title, colour in zip(compared, titles, COLOURS, strict=False):
             evaluations, entry = each.evaluations, entry_of(title, each.evaluations)
-            steps, label = progress(each.run.config, evaluations, env)
-            labels[label] = None
+            steps = steps_of(each, evaluations)
             ends.append(steps[-1])
             draw_curve(left, steps, evaluations.values[f"{group}_goal/success_rate"], colour, entry, SHARE)
             within = success_within(evaluations.last()["first_reached"], groups[group], env.episode_length)
             draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry, SHARE)
-        finish_progress_axis(left, " or ".join(labels), max(ends))
+        finish_progress_axis(left, label, max(ends))
         finish_length_axis(right, env.episode_length)
         for axes in (left, right):
             finish_share_axis(axes, f"success rate, {USE_TITLES[group]}")

@@ -162,6 +162,22 @@ def test_any_metric_is_compared_among_the_runs_that_have_it(folders, env, tmp_pa
         check_metric("first_reached", compared)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_run_that_acts_and_one_that_learns_offline_count_in_updates(first, folders, env):
+    """The first run decided for all; and epochs of other numbers of updates stood on one axis."""
+    acts = read_compared(folders[0])
+    config = presets.load("embodied_qa", updates_per_epoch=7, batch_size=16)
+    offline = acts._replace(run=dataclasses.replace(acts.run, config=config), label="offline")
+    pair = [acts._replace(label="acts"), offline]
+    for figure in (comparison(pair[::-1] if first else pair, env), metrics_while_training(pair, ("agent/loss",), env)):
+        assert figure.axes[0].get_xlabel() == "updates"
+        found = curves(figure, 0)
+        own = acts.run.config.updates_per_epoch
+        np.testing.assert_array_equal(found["acts, 3 seeds"][0], np.array(EPOCHS) * own)
+        np.testing.assert_array_equal(found["offline, 3 seeds"][0], np.array(EPOCHS) * 7)
+    assert own != 7 and comparison([acts], env).axes[0].get_xlabel() == "environment steps"
+
+
 @pytest.mark.parametrize("ending", [pytest.param("pdf", marks=pytest.mark.long), "svg"])
 def test_figures_for_a_paper(ending, folders, env, tmp_path):
     """Letters stay letters, and on request what stands around the panels is a text beside the figure."""
