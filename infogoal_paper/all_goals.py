@@ -221,7 +221,7 @@ def figure(results: Results) -> Figure | None:
     found = {task: rows for task in AGENTS if (rows := rows_of(results, task))}
     counts = [row.seeds for rows in found.values() for row in rows.values()]
     below = (
-        f"mean over goal sets, then over seeds{canvas.seeds_in_words(counts)}",
+        f"mean over goal sets, then over seeds{canvas.interval_in_words(counts)}",
         "seconds: the running time of a program without compiling, shared out equally among the seeds and goal sets "
         "that it trained side by side",
     )

@@ -11,7 +11,7 @@ import re
 import sys
 import textwrap
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from infogoal_jax import presets
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, counted, require
 from infogoal_jax.files import regular
 from infogoal_jax.report.runs import Run, RunTable
 from infogoal_jax.report.statistics import mean_interval
@@ -114,8 +114,7 @@ def empty_figure(title: str, below: tuple[str, ...], size: tuple[float, float]) 
 def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
     """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below.
     shown: instead of the seeds."""
-    config, count = subject.run.config, len(subject.evaluations.seeds)
-    seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds{seeds_in_words([count])}")
+    config, seeds = subject.run.config, shown or seeds_in_words([len(subject.evaluations.seeds)])
     left_out = "".join(
         f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items()
     )
@@ -123,9 +122,18 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
 
 
-def seeds_in_words(counts: Iterable[int]) -> str:
-    """What `draw_curve` draws beside the mean of so many seeds, for the small print."""
-    interval = " with 95 % interval" if max(counts) >= FEWEST_SEEDS else f" (no interval below {FEWEST_SEEDS} seeds)"
+def seeds_in_words(counts: Sequence[int]) -> str:
+    """What `draw_curve` draws of curves of so many seeds each, for the small print."""
+    fewest, most = min(counts), max(counts)
+    number = counted(most, "seed") if fewest == most else f"{fewest} to {most} seeds"
+    return "1 seed" if most == 1 else f"mean of {number}{interval_in_words(counts)}"
+
+
+def interval_in_words(counts: Sequence[int]) -> str:
+    """What `draw_curve` draws beside the means of so many seeds each, for the small print."""
+    interval = f" (no interval below {FEWEST_SEEDS} seeds)"
+    if max(counts) >= FEWEST_SEEDS:
+        interval = " with 95 % interval" + f" from {FEWEST_SEEDS} seeds on" * (min(counts) < FEWEST_SEEDS)
     return f"{interval}, each seed a thin line"
 
 

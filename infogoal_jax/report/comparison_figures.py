@@ -178,7 +178,7 @@ def small_print(compared: list[Compared], titles: list[str], *more: str) -> tupl
         for title, each in zip(titles, compared, strict=True)
         for seed, epoch in each.diverged.items()
     ]
-    seeds = f"mean over seeds{seeds_in_words(len(each.evaluations.seeds) for each in compared)}"
+    seeds = seeds_in_words([len(each.evaluations.seeds) for each in compared])
     data = "; ".join(dict.fromkeys(each.run.data for each in compared))
     return "; ".join((seeds, *left_out, *more)), f"data: {data}"
 

@@ -129,8 +129,22 @@ def test_figure_names_task_data_and_what_is_left_out(folders, env):
         text.startswith("object search")
         and DATA in text
         and "sse_db: seed 1 diverged at epoch 1" in text
-        and "95 % interval" in text
     )
+
+
+@pytest.mark.parametrize(
+    ("counts", "said"),
+    [
+        ([1, 1], "1 seed"),
+        ([2], "mean of 2 seeds (no interval below 3 seeds), each seed a thin line"),
+        ([5, 5], "mean of 5 seeds with 95 % interval, each seed a thin line"),
+        ([5, 2], "mean of 2 to 5 seeds with 95 % interval from 3 seeds on, each seed a thin line"),
+        ([4, 5], "mean of 4 to 5 seeds with 95 % interval, each seed a thin line"),
+    ],
+)
+def test_the_small_print_counts_the_seeds_of_every_curve(counts, said):
+    """An interval was said of all where the curve of most seeds had one."""
+    assert canvas.seeds_in_words(counts) == said
 
 
 def test_bands_end_where_the_metric_does_and_begin_with_three_seeds(folders, env):
