@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from infogoal_jax import checks, presets
@@ -33,7 +35,9 @@ from infogoal_jax.runs.configuration import DATA
 from infogoal_jax.runs.folder import PREFIX
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
-"""One a run: Okabe and Ito's, then Tol's."""
+"""One a run: Okabe and Ito's, then Tol's. More runs, such as the settings of a sweep, have those of a map in order."""
+ENTRY, LETTER = 0.25, 0.085
+"""Inches that a line of the legend is high, and one of its letters wide."""
 BOUNDS = {
     SHARE: ("success_rate", "spl", "accuracy", "nothing_achieved", "valid"),
     NOT_NEGATIVE: ("episode_length", "beta", "kl", "td_error", "gradient_norm", "env_steps"),
@@ -53,6 +57,11 @@ class Compared(NamedTuple):
     diverged: dict[int, int]
     label: str = ""
 
+    @property
+    def is_drawn(self) -> bool:
+        """Whether a seed did not diverge."""
+        return bool(self.evaluations.seeds)
+
 
 def draw_comparison(
     folders: list[Path],
@@ -68,8 +77,10 @@ def draw_comparison(
     env: the environment of the task if it is loaded already; metrics: names of the tables' columns, a panel each; none:
     success while training and by length, or the loss where nobody can act in the task; captions and style: see
     `figures.draw_figures`; labels: what the legend calls each run; none: `titles_of` them.
+    A run whose seeds all diverged is named, and left out.
     Raises `UserError` for runs of different tasks, labels that are not one for each run and each of its own, a folder
-    without a run or without numbers, a metric that no run has, or a disk that refuses.
+    without a run or without numbers, no run with a seed that did not diverge, a metric that no run has, or a disk that
+    refuses.
     """
     remedy = "give a list of folders of runs"
     require(isinstance(folders, list | tuple), "runs", folders, remedy)
@@ -81,13 +92,14 @@ def draw_comparison(
     path = Path(checks.path(path, "path", "give the file to draw to"))
     check_format(path)
     given = tuple(map(str, folders))
-    require(0 < len(given) <= len(COLOURS), "runs", given, f"give 1 to {len(COLOURS)} folders of runs")
+    require(len(given) > 0, "runs", given, "give at least one folder of a run")
     require(len(labels) in (0, len(given)), "labels", labels, f"give {len(given)}, one for each run")
     require(len(set(labels)) == len(labels), "labels", labels, "give each run a label of its own")
     names = labels or ("",) * len(given)
     with figure_style(style):  # One that cannot be read is named before any data is loaded.
         compared = [read_compared(folder)._replace(label=label) for folder, label in zip(folders, names, strict=True)]
         check_same_task([each.run for each in compared])
+        require(any(each.is_drawn for each in compared), "runs", given, "every seed of each diverged; give others")
         for metric in metrics:
             check_metric(metric, compared)
         env = load_environment(compared[0].run.config, env)
@@ -97,12 +109,12 @@ def draw_comparison(
 
 
 def read_compared(folder: Path) -> Compared:
-    """The run in this folder. Raises `UserError` if it has no evaluation of a seed that did not diverge."""
+    """The run in this folder. Raises `UserError` if it has no evaluation yet."""
     run = load_run(folder)
     folder = run.folder
     diverged = diverged_seeds(folder)
     evaluations = table_of(folder, "evaluations", diverged)
-    require(bool(evaluations.values), "run", run.name, "has no evaluation of a seed that did not diverge; leave it out")
+    require(len(evaluations.epochs) > 0, "run", run.name, "has no evaluation yet; leave it out")
     return Compared(run, evaluations, table_of(folder, "epochs", diverged), diverged)
 
 
@@ -173,12 +185,12 @@ def shortest_end(place: tuple[str, ...], others: list[tuple[str, ...]]) -> str:
 
 def small_print(compared: list[Compared], titles: list[str], *more: str) -> tuple[str, ...]:
     """What stands below the figure: seeds, what is left out, and the data."""
-    left_out = [
-        f"{title}: seed {seed} diverged at epoch {epoch} and is left out"
-        for title, each in zip(titles, compared, strict=True)
-        for seed, epoch in each.diverged.items()
-    ]
-    seeds = seeds_in_words([len(each.evaluations.seeds) for each in compared])
+    left_out = []
+    for title, each in zip(titles, compared, strict=True):
+        seeds = [f"seed {seed} diverged at epoch {epoch} and" for seed, epoch in each.diverged.items()]
+        whole = ["every seed diverged, and it"]
+        left_out += [f"{title}: {words} is left out" for words in (seeds if each.is_drawn else whole)]
+    seeds = seeds_in_words([len(each.evaluations.seeds) for each in compared if each.is_drawn])
     data = "; ".join(dict.fromkeys(each.run.data for each in compared))
     return "; ".join((seeds, *left_out, *more)), f"data: {data}"
 
@@ -187,6 +199,31 @@ def entry_of(title: str, table: RunTable) -> str:
     """A run in the legend."""
     count = len(table.seeds)
     return f"{title}, {count} seed{'s' if count > 1 else ''}"
+
+
+class Curve(NamedTuple):
+    """A run that is drawn."""
+
+    run: Compared
+    title: str
+    colour: str
+
+
+def curves_of(compared: list[Compared], titles: list[str]) -> list[Curve]:
+    """The runs that are drawn."""
+    count = len(compared)
+    colours = COLOURS if count <= len(COLOURS) else map(to_hex, colormaps["turbo"](np.linspace(0, 1, count)))
+    curves = map(Curve, compared, titles, colours)
+    return [curve for curve in curves if curve.run.is_drawn]
+
+
+def canvas_of(heading: str, below: tuple[str, ...], panels: tuple[int, int], drawn: list[Curve]) -> Figure:
+    """An empty figure with room for so many rows and columns of panels, and for a legend of these curves beside
+    them."""
+    rows, across = panels
+    longest = max(len(entry_of(title, run.evaluations)) for run, title, _ in drawn)
+    size = 4.5 * across + 0.6 + LETTER * longest, 1.4 + max(3.2 * rows, ENTRY * len(drawn))
+    return empty_figure(heading, below, size)
 
 
 def shared_progress(compared: list[Compared], env) -> tuple[Callable[[Compared, RunTable], np.ndarray], str]:
@@ -201,22 +238,20 @@ def shared_progress(compared: list[Compared], env) -> tuple[Callable[[Compared, 
 def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], env) -> Figure:
     """These metrics against progress of training, a panel each with a curve for every run that has it."""
     titles, (steps_of, label) = legend_titles(compared), shared_progress(compared, env)
+    drawn = curves_of(compared, titles)
     without = [
-        f"{title} has no {metric}"
-        for metric in metrics
-        for title, each in zip(titles, compared, strict=True)
-        if table_with(metric, each) is None
+        f"{title} has no {metric}" for metric in metrics for each, title, _ in drawn if table_with(metric, each) is None
     ]
     heading = f"{compared[0].run.config.task.replace('_', ' ')}: {', '.join(metrics)} while training"
     across = min(2, len(metrics))
     rows = -(-len(metrics) // across)
-    figure = empty_figure(heading, small_print(compared, titles, *without), (5.5 * across, 1.4 + 3.2 * rows))
+    figure = canvas_of(heading, small_print(compared, titles, *without), (rows, across), drawn)
     grid = figure.subplots(rows, across, squeeze=False).ravel()
     handles = {}
     for axes, metric in zip(grid, metrics, strict=False):
         bounds = next((bounds for bounds, names in BOUNDS.items() if metric.split("/")[-1] in names), ANY)
         ends = []
-        for each, title, colour in zip(compared, titles, COLOURS, strict=False):
+        for each, title, colour in drawn:
             if (table := table_with(metric, each)) is not None:
                 steps = steps_of(each, table)
                 ends.append(steps[-1])
@@ -230,7 +265,7 @@ def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], e
         handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     for axes in grid[len(metrics) :]:
         axes.set_visible(False)
-    grid[across - 1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.legend(handles.values(), handles.keys(), loc="outside right center")
     return figure
 
 
@@ -238,13 +273,14 @@ def comparison(compared: list[Compared], env) -> Figure:
     """Success against progress of training, beside success within so many steps at the last evaluation; training goals
     above test goals."""
     titles, (steps_of, label) = legend_titles(compared), shared_progress(compared, env)
+    drawn = curves_of(compared, titles)
     groups = {group: mask for group, mask in evaluated_masks(env.goals).items() if group != "validation"}
     task = compared[0].run.config.task.replace("_", " ")
     heading = f"{task}: success while training, and by length at the last evaluation"
-    figure = empty_figure(heading, small_print(compared, titles), (11, 1.4 + 3.2 * len(groups)))
+    figure = canvas_of(heading, small_print(compared, titles), (len(groups), 2), drawn)
     for (left, right), group in zip(figure.subplots(len(groups), 2, squeeze=False), groups, strict=True):
         ends = []
-        for each, title, colour in zip(compared, titles, COLOURS, strict=False):
+        for each, title, colour in drawn:
             evaluations, entry = each.evaluations, entry_of(title, each.evaluations)
             steps = steps_of(each, evaluations)
             ends.append(steps[-1])
@@ -255,5 +291,5 @@ def comparison(compared: list[Compared], env) -> Figure:
         finish_length_axis(right, env.episode_length)
         for axes in (left, right):
             finish_share_axis(axes, f"success rate, {USE_TITLES[group]}")
-    figure.axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="outside right center")
     return figure

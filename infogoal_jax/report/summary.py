@@ -47,9 +47,12 @@ TITLES = [title for title, _ in COLUMNS.values()]
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
 
 
-def seeds_in_words(count: int) -> str:
-    """`1 seed (no interval)`, or `5 seeds, mean ± 95 % interval`."""
-    return "1 seed, no interval" if count == 1 else f"{count} seeds, mean ± 95 % interval"
+def seeds_in_words(*counts: int) -> str:
+    """Of so many seeds each number is: `1 seed, no interval`, or `2 to 5 seeds, mean ± 95 % interval`."""
+    fewest, most = min(counts), max(counts)
+    if most == 1:
+        return "1 seed, no interval"
+    return f"{f'{fewest} to ' * (fewest < most)}{most} seeds, mean ± 95 % interval"
 
 
 def diverged_in_words(diverged: dict[int, int]) -> list[str]:

@@ -8,12 +8,12 @@ from rich.console import Console
 
 from infogoal_jax import checks
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import counted, require
+from infogoal_jax.errors import require
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.report.summary import number_table, print_run
+from infogoal_jax.report.summary import number_table, print_run, seeds_in_words
 from infogoal_jax.runner.executors import Outcome, run_here
 from infogoal_jax.runner.jobs import Plan, combinations, run_plan
 from infogoal_jax.runner.progress import say
@@ -48,9 +48,10 @@ class SweepResult:
         return found
 
     def figure(self, path: str | Path | None = None) -> Path:
-        """One figure of all settings, success while training with intervals over seeds. Returns its path."""
+        """One figure of all settings, success while training with intervals over seeds. Returns its path. Raises
+        `UserError` where every seed of each diverged."""
         path = Path(path or self.folder / "comparison.png")
-        return draw_comparison(list(self.folders.values()), path)
+        return draw_comparison(list(self.folders.values()), path, labels=tuple(filter(None, self.folders)))
 
 
 def sweep(
@@ -97,7 +98,7 @@ def print_sweep(folder: Path, plan: Plan) -> None:
         return
     console, result = Console(), SweepResult(folder, plan)
     names = list(plan.settings[0])
-    rows, epochs = [], []
+    rows, epochs, counts = [], [], []
     for run, setting in zip(result.folders.values(), plan.settings, strict=True):
         diverged = diverged_seeds(run)
         table = table_of(run, "evaluations", diverged)
@@ -106,19 +107,21 @@ def print_sweep(folder: Path, plan: Plan) -> None:
             for name in SHOWN
         ]
         rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
+        counts += [len(table.seeds)] * any(scores)
         epochs.append(str(table.epochs[-1]) if len(table.epochs) else "")
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
     if len(set(epochs)) > 1:
         titles, rows = [*titles, "epoch"], [[*row, epoch] for row, epoch in zip(rows, epochs, strict=True)]
     console.print(number_table(titles, rows), crop=False)
-    if any(cells for row in rows for cells in row[len(names) : len(names) + len(SHOWN)]):
-        seeds = counted(len(plan.seeds), "seed")
-        say(console, f"success at the last evaluation, mean and 95 % interval over {seeds}")
+    if counts:
+        say(console, f"success at the last evaluation: {seeds_in_words(*counts)}")
     say(console, f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
 
 
 def draw_sweep(folder: Path, plan: Plan) -> list[Path]:
-    """The figures of a single run, or the one figure of all settings."""
+    """The figures of a single run, or the one figure of all settings; none where every seed diverged."""
     if plan.settings == [{}]:
         return draw_figures(folder)
-    return [SweepResult(folder, plan).figure()]
+    result = SweepResult(folder, plan)
+    lost = [len(diverged_seeds(run)) == len(plan.seeds) for run in result.folders.values()]
+    return [] if all(lost) else [result.figure()]

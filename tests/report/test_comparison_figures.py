@@ -26,6 +26,8 @@ from infogoal_jax.report.comparison_figures import (
 )
 from infogoal_jax.report.runs import load_run
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.report.sweeps import draw_sweep
+from infogoal_jax.runner.jobs import Plan
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.configuration import to_dict
 
@@ -125,11 +127,7 @@ def test_curves_are_the_means_of_the_runs_tables(folders, env):
 
 def test_figure_names_task_data_and_what_is_left_out(folders, env):
     text = text_of(comparison([read_compared(folder) for folder in folders], env))
-    assert (
-        text.startswith("object search")
-        and DATA in text
-        and "sse_db: seed 1 diverged at epoch 1" in text
-    )
+    assert text.startswith("object search") and DATA in text and "sse_db: seed 1 diverged at epoch 1" in text
 
 
 @pytest.mark.parametrize(
@@ -266,12 +264,51 @@ def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
     check_same_task([first, dataclasses.replace(first, data=f"{DATA}; low level, content 12345678")])
     with pytest.raises(UserError, match="run = .*has data = 'another house', and .*first 'hand-made.*on the same data"):
         check_same_task([first, dataclasses.replace(first, config=moved, data="another house")])
+    begun = write_run(tmp_path / "begun", env, hand_made.config())
+    (begun / "evaluations.jsonl").write_text("")
+    with pytest.raises(UserError, match="begun': has no evaluation yet; leave it out"):
+        draw_comparison([folders[0], begun], tmp_path / "a.png", env)
     all_diverged = write_run(tmp_path / "diverged", env, hand_made.config(), diverged=(0, 1, 2))
-    with pytest.raises(UserError, match="diverged': has no evaluation"):
-        draw_comparison([folders[0], all_diverged], tmp_path / "a.png", env)
+    with pytest.raises(UserError, match="runs = .*every seed of each diverged"):
+        draw_comparison([all_diverged, all_diverged], tmp_path / "a.png", env)
     with pytest.raises(UserError, match="out = .*ends in .png, .pdf, .svg"):
         draw_comparison(folders, tmp_path / "a.jpg", env)
     assert not (tmp_path / "a.png").exists()
+
+
+def test_a_run_that_diverged_whole_is_named_and_left_out(folders, env, tmp_path):
+    """It refused the figure of all others, a sweep's at its end."""
+    lost = write_run(tmp_path / "lost", env, hand_made.config(), diverged=(0, 1, 2))
+    compared = [read_compared(folder) for folder in (lost, *folders)]
+    for figure in (comparison(compared, env), metrics_while_training(compared, ("agent/loss", "infogoal/beta"), env)):
+        assert "infogoal (lost): every seed diverged, and it is left out" in text_of(figure)
+        assert "mean of 2 to 3 seeds" in text_of(figure) and "(lost) has no" not in text_of(figure)
+        assert list(curves(figure, 0)) == ["infogoal (first), 3 seeds", "sse_db, 2 seeds"]
+
+
+def test_any_number_of_runs_is_drawn_each_in_a_colour_of_its_own(folders, env):
+    """And beside the panels, which keep their width, stand all of their names."""
+    runs = [read_compared(folders[0])._replace(label=f"learning_rate=0.0001,discount=0.{n}") for n in range(40)]
+    for figure in (comparison(runs, env), metrics_while_training(runs, ("agent/loss",), env)):
+        figure.draw_without_rendering()
+        named = [line for line in figure.axes[0].get_lines() if not line.get_label().startswith("_")]
+        assert len({line.get_color() for line in named}) == 40
+        (legend,) = figure.legends
+        assert len(legend.texts) == 40
+        inches = legend.get_window_extent().transformed(figure.dpi_scale_trans.inverted())
+        assert inches.y0 > 0 and inches.y1 < figure.get_figheight()
+        assert figure.axes[0].get_window_extent().width / figure.dpi > 3
+
+
+def test_a_sweep_is_drawn_without_the_setting_that_diverged(tiny_house, tmp_path):
+    """And where all did, there is no figure, as of a single run."""
+    config = presets.load("object_search", env=ObjectSearchConfig(dataset=str(tiny_house)))
+    env, plan = envs.load("object_search", config.env), Plan([{"discount": 0.5}, {"discount": 0.9}], [0, 1], 0)
+    for name, diverged in zip(plan.names, ((0,), (0, 1)), strict=True):
+        write_run(tmp_path / name, env, config, plan.seeds, diverged)
+    assert draw_sweep(tmp_path, plan) == [tmp_path / "comparison.png"] and (tmp_path / "comparison.png").exists()
+    plan = Plan(plan.settings[1:], plan.seeds, 0)
+    assert draw_sweep(tmp_path, plan) == []
 
 
 def test_labels_name_the_runs_in_the_legend(folders, env, tmp_path):
@@ -291,7 +328,7 @@ def test_command(folders, tmp_path, capsys):
     assert main(["compare", str(folders[0]), str(tmp_path / "none"), "--out", str(tmp_path / "a.png")]) == 2
     assert "there is no such folder" in capsys.readouterr().err
     assert main(["compare", "--out", str(tmp_path / "a.png")]) == 2
-    assert "give 1 to 12 folders of runs" in capsys.readouterr().err
+    assert "give at least one folder of a run" in capsys.readouterr().err
 
 
 def test_a_shipped_policy_is_called_by_its_name_and_not_by_its_place_in_the_cache(tmp_path, monkeypatch, capsys):
