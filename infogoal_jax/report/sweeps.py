@@ -37,14 +37,15 @@ class SweepResult:
         return f"SweepResult in {self.folder}: {'; '.join(filter(None, self.folders)) or 'one setting'}"
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each setting and seed: the values that differ, the seed, and every single number of its last
-        evaluation. `pandas.DataFrame(result.rows())` takes them."""
+        """A row for each setting and seed: the values that differ, the seed, whether it diverged, and every single
+        number of its last evaluation. `pandas.DataFrame(result.rows())` takes them."""
         found = []
-        for (_, folder), setting in zip(self.folders.items(), self.plan.settings, strict=True):
-            table = table_of(folder, "evaluations")
+        for folder, setting in zip(self.folders.values(), self.plan.settings, strict=True):
+            table, diverged = table_of(folder, "evaluations"), diverged_seeds(folder)
             for place, seed in enumerate(table.seeds):
                 numbers = {name: float(values[place, -1]) for name, values in table.values.items() if values.ndim == 2}
-                found.append({**setting, "seed": int(seed), "epoch": int(table.epochs[-1]), **numbers})
+                about = {"seed": seed, "diverged": seed in diverged, "epoch": int(table.epochs[-1])}
+                found.append({**setting, **about, **numbers})
         return found
 
     def figure(self, path: str | Path | None = None) -> Path:

@@ -26,7 +26,7 @@ from infogoal_jax.report.comparison_figures import (
 )
 from infogoal_jax.report.runs import load_run
 from infogoal_jax.report.statistics import mean_interval, paired_difference
-from infogoal_jax.report.sweeps import draw_sweep
+from infogoal_jax.report.sweeps import SweepResult, draw_sweep
 from infogoal_jax.runner.jobs import Plan
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.configuration import to_dict
@@ -307,6 +307,13 @@ def test_a_sweep_is_drawn_without_the_setting_that_diverged(tiny_house, tmp_path
     for name, diverged in zip(plan.names, ((0,), (0, 1)), strict=True):
         write_run(tmp_path / name, env, config, plan.seeds, diverged)
     assert draw_sweep(tmp_path, plan) == [tmp_path / "comparison.png"] and (tmp_path / "comparison.png").exists()
+    rows = SweepResult(tmp_path, plan).rows()
+    assert [(row["discount"], row["seed"], row["diverged"]) for row in rows] == [
+        (0.5, 0, True),
+        (0.5, 1, False),
+        (0.9, 0, True),
+        (0.9, 1, True),
+    ]
     plan = Plan(plan.settings[1:], plan.seeds, 0)
     assert draw_sweep(tmp_path, plan) == []
 
