@@ -99,7 +99,7 @@ MISTAKES = [
     ("evaluate ~not_there/run", ["run = '~not_there/run': there is no such folder"]),
     ("tune --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
     ("final --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
-    ("compare --out a.png", ["runs = ()", "give 1 to 12 folders of runs"]),
+    ("compare --out a.png", ["runs = ()", "give at least one folder of a run"]),
     ("reproduce table1 --known not_there", ["known = 'not_there'", "infogoal reproduce merge"]),
     ("final --resume not_there --trials 3", ["--trials: a final that goes on has its own"]),
     ("report not_there", ["run = 'not_there'"]),
