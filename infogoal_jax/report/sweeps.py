@@ -100,14 +100,14 @@ def print_sweep(folder: Path, plan: Plan) -> None:
     console, result = Console(), SweepResult(folder, plan)
     names = list(plan.settings[0])
     rows, epochs, counts = [], [], []
-    for run, setting in zip(result.folders.values(), plan.settings, strict=True):
+    for run, setting in zip(result.folders.values(), plan.in_words(), strict=True):
         diverged = diverged_seeds(run)
         table = table_of(run, "evaluations", diverged)
         scores = [
             mean_interval(table.values[name][:, -1]).show(2) if name in table.values and len(table.seeds) else ""
             for name in SHOWN
         ]
-        rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
+        rows.append([*(setting[name] for name in names), *scores, str(len(diverged) or "")])
         counts += [len(table.seeds)] * any(scores)
         epochs.append(str(table.epochs[-1]) if len(table.epochs) else "")
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]

@@ -58,7 +58,16 @@ class Plan:
     @property
     def names(self) -> list[str]:
         """The folders of the runs, below that of the sweep."""
-        return [",".join(f"{name}={value:g}" for name, value in setting.items()) for setting in self.settings]
+        return [",".join(f"{name}={value}" for name, value in words.items()) for words in self.in_words()]
+
+    def in_words(self) -> list[dict[str, str]]:
+        """The settings with their values as they are shown: six digits, or as many as tell them apart."""
+        written: dict[str, dict[float, str]] = {}
+        for name in {name for setting in self.settings for name in setting}:
+            values = {setting[name] for setting in self.settings if name in setting}
+            each = ({value: f"{value:.{digits}g}" for value in values} for digits in range(6, 18))
+            written[name] = next(words for words in each if len(set(words.values())) == len(values))
+        return [{name: written[name][value] for name, value in setting.items()} for setting in self.settings]
 
 
 @dataclasses.dataclass(frozen=True)

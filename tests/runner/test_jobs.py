@@ -311,6 +311,17 @@ def test_several_processes_share_a_sweep(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+def test_settings_are_named_by_as_many_digits_as_tell_them_apart():
+    """Two that agreed to six were refused as one given twice. Names of settings that do not are as they were, so that
+    their folders are found again."""
+    plan = Plan(combinations({"discount": [0.9, 0.99999991, 0.99999992], "learning_rate": [1e-4, 1 / 3]}), [0], 0)
+    jobs.check(CONFIG, plan)
+    assert plan.names[::2] == [f"discount={value},learning_rate=0.0001" for value in (0.9, 0.99999991, 0.99999992)]
+    assert plan.names[1] == "discount=0.9,learning_rate=0.333333"
+    with pytest.raises(UserError, match="give each setting once"):
+        jobs.check(CONFIG, Plan([{"discount": 0.9}, {"discount": 0.9}], [0], 0))
+
+
 def test_a_job_says_what_it_is(tmp_path):
     names = [job.name for job in jobs_of(CONFIG, Plan(combinations({"discount": [0.9]}), [0, 1], 1))]
     assert names == [f"{CONFIG.task} discount=0.9/0-0", f"{CONFIG.task} discount=0.9/1-1"]
