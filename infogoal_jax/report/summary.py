@@ -295,12 +295,13 @@ def evaluate_run(
     {name: [seeds, M]}. Raises `UserError` for values out of range, a corruption of goals that are not images or of
     typed goals, a goal that the task does not have, a folder without a run, or damaged parameters.
     """
-    require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
-    require(0 <= start_seed < checks.MOST_SEEDS - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
+    starts = checks.whole(starts, "starts", 1, LARGEST_WHOLE, f"give 1 to {LARGEST_WHOLE}, such as 50")
+    last = checks.MOST_SEEDS - 3
+    start_seed = checks.whole(start_seed, "start_seed", 0, last, "give a seed from 0 to below 2^32 - 2")
     remedy = "give a probability from 0 to 1, or a negative number for the run's own"
-    checks.number(test_epsilon, "test_epsilon", high=1, remedy=remedy)
+    test_epsilon = checks.number(test_epsilon, "test_epsilon", high=1, remedy=remedy)
     if corruption is not None:
-        checks.number(corruption, "corruption", 0, 1, "give a weight from 0 to 1, for example 0.4")
+        corruption = checks.number(corruption, "corruption", 0, 1, "give a weight from 0 to 1, for example 0.4")
     run, console = load_run(folder), console or Console()
     folder = run.folder
     train, diverged = make_train(run.config, env), diverged_seeds(folder)
@@ -317,7 +318,7 @@ def evaluate_run(
     )
     space = train.env.goals
     typed = np.stack([typed_goal(space, words) for words in goals]) if goals else None
-    weight = run.config.test_corruption if corruption is None else float(corruption)
+    weight = run.config.test_corruption if corruption is None else corruption
     params = read_params(run, train)
     epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]
     epsilon = run.config.hyper.test_epsilon if test_epsilon < 0 else test_epsilon

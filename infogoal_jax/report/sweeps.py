@@ -79,8 +79,8 @@ def sweep(
     """
     require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
     checks.path(folder, "folder", "give the folder of the sweep")
-    checks.flag(resume, "resume")
-    checks.whole(seeds_at_once, "seeds_at_once", 0)
+    resume = checks.flag(resume, "resume")
+    seeds_at_once = checks.whole(seeds_at_once, "seeds_at_once", 0)
     checks.function(execute, "execute", 2, "give an executor, such as runner.executors.run_here")
     named = {name.replace("__", "."): listed for name, listed in values.items()}
     for name, listed in named.items():

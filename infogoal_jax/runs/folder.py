@@ -22,7 +22,7 @@ from pathlib import Path
 import flax.serialization
 import jax
 
-from infogoal_jax import files
+from infogoal_jax import checks, files
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require, require_known, typed
@@ -205,7 +205,7 @@ def pack(folder: Path, out: Path, seed: int | None = None) -> list[tables.Row]:
     evaluated, a file of somebody else in the way, or a disk that refuses.
     """
     about = configuration.read(folder)
-    seed = about.seeds[0] if seed is None else seed
+    seed = about.seeds[0] if seed is None else checks.whole(seed, "seed")
     require(out.suffix == SUFFIX, "out", str(out), f"give a file that ends in {SUFFIX}")
     disk.check_out(out)
     require(may_be_replaced(out), "out", str(out), "is there already and is no packed run; give a new file")

@@ -107,7 +107,8 @@ def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
     text = printed(print_run, diverged_run)
     assert "seed 4 diverged at epoch 3" in text and "2 seeds" in text
     assert mean_interval(left.last()[name]).show(1) in text
-    scores = evaluate_run(diverged_run, 2, 1, -1.0, env=env, console=Console(file=io.StringIO()))
+    given = np.int64(2), np.int64(1), np.float32(-1)  # Numbers of NumPy, which JSON does not know, are taken too.
+    scores = evaluate_run(diverged_run, *given, env=env, console=Console(file=io.StringIO()))
     assert all(value.shape == (2,) for value in scores.values())
 
 
@@ -273,7 +274,7 @@ def test_a_packed_run_is_a_run_of_one_seed(sweep, env, packed, tmp_path):
     assert "1 seed" in printed(print_run, packed)
     drawn = draw_figures(packed, env)
     assert {path.stem for path in drawn} == FIGURES and drawn[0].parent.parent == run.folder
-    pack(sweep.folder, tmp_path / "again.zip", 4)
+    pack(sweep.folder, tmp_path / "again.zip", np.int64(4))
     assert (tmp_path / "again.zip").read_bytes() == packed.read_bytes()
     assert packed.stat().st_size < (sweep.folder / "policy").stat().st_size
     assert load_run(packed).folder == run.folder and not list(run.folder.parent.glob(".*"))

@@ -14,6 +14,7 @@ import types
 
 import hand_made
 import killed_run
+import numpy as np
 import pytest
 from killed_run import FILES, same_run
 from places import TINY
@@ -120,7 +121,9 @@ def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
 
 
 def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
-    result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4], learner_weight=[0.5])
+    values = {"learning_rate": [1e-4, 3e-4], "learner_weight": [0.5]}
+    result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", seeds_at_once=np.int64(2), **values)
+    assert result.plan.seeds_at_once == 2 and read_plan(tmp_path / "sweep") == (CONFIG, result.plan)
     printed = capsys.readouterr().out
     assert printed.count(": compiling, ") == 2 and printed.count("left  train 0.") == 2
     assert re.search(r"=0.0003,learner_weight=0.5: epoch 2/4  \d+:\d\d  \d+:\d\d left  train 0\.\d\d  test ", printed)
