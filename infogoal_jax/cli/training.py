@@ -1,6 +1,7 @@
 """`infogoal train TASK`; `infogoal methods`, which says what can be trained; and `infogoal pretrain TASK`, which trains
 the low levels that drive a robot to target states."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,6 +36,8 @@ from infogoal_jax.errors import UserError, counted, require
 from infogoal_jax.imports import typed_command
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
+BY_SIGNAL = 128
+"""What a shell adds to the number of the signal that ended a process, for its exit status."""
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
 `infogoal train --resume RUN` goes on with a run from its last checkpoint."""
 
@@ -233,7 +236,7 @@ def train_parts(
     import functools
 
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
-    from infogoal_jax.runner.executors import run_in_processes, run_on_ray
+    from infogoal_jax.runner.executors import run_on_ray
     from infogoal_jax.runner.jobs import NAME, Plan, jobs_of, read_plan, run_plan, start
     from infogoal_jax.runs.checkpoint import check_same_config
 
@@ -245,22 +248,40 @@ def train_parts(
         plan = Plan(settings, list(seeds), vmap_size)
     if where.engine == "ray":
         execute = functools.partial(run_on_ray, workers=where.processes, address=where.ray_address)
-        run_plan(config, plan, folder, resume, execute)
+        status = STATUS if run_plan(config, plan, folder, resume, execute).stopped else 0
     elif where.processes > 1:
         if not resume:
             start(config, plan, folder)
-        run_in_processes(["train", "--resume", str(folder), "--quiet"], where.processes, where.gpus)
+        status = train_in_processes(folder, where)
     else:
-        run_plan(config, plan, folder, resume)
-    if where.quiet:
-        return 0
-    if not all(job.is_done(folder) for job in jobs_of(config, plan)):
-        print(f"Stopped. Go on with: {typed_command('train', '--resume', folder)}")
-        return STATUS
+        status = STATUS if run_plan(config, plan, folder, resume).stopped else 0
+    is_done = all(job.is_done(folder) for job in jobs_of(config, plan))
+    if where.quiet:  # As one of several, which train the rest.
+        return 0 if is_done else status
+    if not is_done:
+        if status in (0, STATUS):
+            print(f"Stopped. Go on with: {typed_command('train', '--resume', folder)}")
+        return status or STATUS
     print_sweep(folder, plan)
     if figures:
         draw(draw_sweep, folder, plan)
     return 0
+
+
+def train_in_processes(folder: Path, where: Where) -> int:
+    """Go on with a sweep in several processes. Returns the exit status: that of the first process that failed, which is
+    named, since what it said stands above."""
+    from infogoal_jax.runner.executors import run_in_processes
+
+    with stop_on_signal() as stop:
+        statuses = run_in_processes(["train", "--resume", str(folder), "--quiet"], where.processes, where.gpus)
+    failed = {number: status for number, status in enumerate(statuses) if status not in (0, STATUS)}
+    if stop.requested or not failed:
+        return STATUS if stop.requested else max(statuses)
+    number, status = next(iter(failed.items()))
+    words = f"with status {status}; what it said stands above" if status > 0 else f"by signal {-status}"
+    print(f"infogoal: process {number} ended {words}", file=sys.stderr)
+    return status if status > 0 else BY_SIGNAL - status
 
 
 def draw_video(folder: Path, env: Any) -> Path | None:

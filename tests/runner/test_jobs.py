@@ -215,6 +215,30 @@ def test_what_cannot_be_run_leaves_nothing(words, named, tmp_path, capsys, monke
     assert named in capsys.readouterr().err and not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize(
+    ("statuses", "status", "said"),
+    [
+        ([0, 2], 2, "infogoal: process 1 ended with status 2; what it said stands above\n"),
+        ([-9, 130], 137, "infogoal: process 0 ended by signal 9\n"),
+        ([0, 130], 130, ""),
+    ],
+)
+def test_a_process_that_fails_is_no_stop(statuses, status, said, tmp_path, monkeypatch, capsys):
+    """Its error counted as a signal, after which a script goes on for ever."""
+    monkeypatch.setattr(executors, "run_in_processes", lambda *_: statuses)
+    words = "train point_maze --seeds 2 --vmap-size 1 --processes 2 --out"
+    assert main([*words.split(), str(tmp_path / "sweep")]) == status
+    printed = capsys.readouterr()
+    assert printed.err == said and ("Stopped. Go on with: " in printed.out) == (status == 130)
+
+
+@pytest.mark.parametrize("flags", [[], ["--quiet"]])
+def test_a_sweep_that_a_signal_stopped_says_so_by_its_status(flags, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "run_plan", lambda *_: executors.Outcome(stopped=True))
+    words = "train point_maze --seeds 2 --vmap-size 1 --out"
+    assert main([*words.split(), str(tmp_path / "sweep"), *flags]) == 130
+
+
 def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
     training.run(CONFIG, [0], tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
