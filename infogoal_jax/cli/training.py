@@ -38,6 +38,8 @@ from infogoal_jax.stopping import STATUS, stop_on_signal
 
 BY_SIGNAL = 128
 """What a shell adds to the number of the signal that ended a process, for its exit status."""
+OF_CODE = Annotated[tuple[str, ...], tyro.conf.Suppress, tyro.conf.Fixed]
+"""Of an argument that is no flag."""
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
 `infogoal train --resume RUN` goes on with a run from its last checkpoint."""
 
@@ -58,6 +60,7 @@ def train(
     synonyms: Annotated[Synonyms, OmitArgPrefixes] = Synonyms(),  # noqa: B008 (frozen)
     where: Annotated[Where, OmitArgPrefixes] = Where(),  # noqa: B008 (frozen)
     help_all: FlagCreatePairsOff[bool] = False,
+    command: OF_CODE = ("train",),
 ) -> int:
     """Train on a task, all seeds in one program.
 
@@ -77,6 +80,7 @@ def train(
         synonyms: Flags of other libraries.
         where: The programs run.
         help_all: Show all flags, of each part and the hyperparameters too.
+        command: What a user types to go on, before --resume.
 
     Returns:
         0 when it finished, 130 when it was stopped by a signal (with a checkpoint).
@@ -121,12 +125,14 @@ def train(
         before = configuration.read(Path(resume)).seeds
         numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
     folder = Path(resume or out or several.agreed(str(new_folder(config.task, presets.name_of(config)))))
+    onward = typed_command(*command, "--resume", folder)
     if not several.is_writer():
-        sweep = training.run(config, numbers, folder, bool(resume))
+        sweep = training.run(config, numbers, folder, bool(resume), onward=onward)
         several.part()
         return STATUS if sweep.stopped else 0
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
-        sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, phase=listeners.phase)
+        told = {"phase": listeners.phase, "onward": onward}
+        sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, **told)
         several.part()  # Figures may take longer than the others would wait.
         listeners.end_progress()
         from infogoal_jax.report.summary import print_summary
@@ -136,7 +142,7 @@ def train(
             if not where.quiet:
                 print_summary(sweep)
             if sweep.stopped:
-                print(f"Stopped. Go on with: {typed_command('train', '--resume', folder)}")
+                print(f"Stopped. Go on with: {onward}")
                 return STATUS
             if figures:
                 from infogoal_jax.report.figures import draw_figures
@@ -400,8 +406,9 @@ def pretrain(
     Returns:
         As `train`. When it finished, the folder has the policy of the seed that reached most target states.
     """
-    out = out or resume or str(new_folder(config.task.removesuffix(TARGETS), "low-level"))
-    status = train(parts, config, resume, seeds=seeds, first_seed=first_seed, out=out)
+    task = config.task.removesuffix(TARGETS)
+    out, command = out or resume or str(new_folder(task, "low-level")), ("pretrain", task)
+    status = train(parts, config, resume, seeds=seeds, first_seed=first_seed, out=out, command=command)
     if status:
         return status
     from infogoal_jax.report.export import export

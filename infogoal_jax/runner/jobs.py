@@ -25,7 +25,7 @@ from rich.console import Console
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
-from infogoal_jax.imports import checksums
+from infogoal_jax.imports import checksums, typed_command
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
 from infogoal_jax.runner.listeners import advancing
@@ -128,8 +128,9 @@ class RunJob:
 
         line = place.show(self) if place.show else ProgressLine(self.name, self.config.num_epochs, None, place.say)
         try:
-            listeners = (advancing(line),)
-            training.run(self.config, self.seeds, folder, resume, listeners, phase=line.phase, left=place.left)
+            listeners, onward = (advancing(line),), typed_command("train", "--resume", place.folder)
+            asked = {"phase": line.phase, "left": place.left, "onward": onward}
+            training.run(self.config, self.seeds, folder, resume, listeners, **asked)
             if line.is_live and line.numbers:
                 line.print(f"{self.name}: {line.numbers}")  # It stays above the line, which goes on with the next.
         except Stopped:

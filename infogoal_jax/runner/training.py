@@ -139,18 +139,21 @@ def run(
     env: Any = None,
     phase: Phase = lambda name, epoch: None,
     left: Callable[[], float] = lambda: math.inf,
+    onward: str = "",
 ) -> RunResult:
     """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
     from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
     own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
 
     phase: called when loading, tracing, compiling and training begin, with the epochs that are done; left: seconds
-    until it has to have stopped. Raises `UserError` before any compilation, and without a change on the disk, for a
+    until it has to have stopped; onward: the command that goes on with what this run is part of, to be named when it
+    stops; empty: that of the run. Raises `UserError` before any compilation, and without a change on the disk, for a
     folder that holds another run or is being written, a damaged checkpoint, or one of another configuration. Raises
     `Stopped` if a signal asked for it before the first checkpoint.
     """
     check_run(config, folder, resume, listeners, env, phase, left)
     folder, seeds = Path(folder), checked_seeds(seeds)
+    onward = checks.text(onward, "onward", "give a command") or typed_command("train", "--resume", folder)
     writes = distributed.is_writer()
     if writes and not resume:
         check_new(folder, RUN)
@@ -173,16 +176,16 @@ def run(
                     tables.replace_table(folder, table, rows)
                 if not resume or configuration.read(folder) != now:
                     configuration.write(folder, now)
-            stop.advice = how_to_go_on(folder, point.epoch)
+            stop.advice = how_to_go_on(folder, point.epoch, onward)
             distributed.check(stop)
-            files = RunFiles(folder, now, point.epoch, listeners, phase, left, stop)
+            files = RunFiles(folder, now, point.epoch, listeners, phase, left, stop, onward)
             return train_in(train, programs, point, files, stop)
 
 
-def how_to_go_on(folder: Path, epoch: int) -> str:
+def how_to_go_on(folder: Path, epoch: int, onward: str) -> str:
     """What is on disk after this epoch, in words, and the command that goes on with it."""
     there = f"{folder} has a checkpoint of epoch {epoch}" if epoch else f"{folder} has no checkpoint yet"
-    return f"{there}; go on with: {typed_command('train', '--resume', folder)}"
+    return f"{there}; go on with: {onward}"
 
 
 def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", stop: StopRequest) -> RunResult:
@@ -220,9 +223,10 @@ class RunFiles(Callback):
         phase: Phase,
         left: Callable[[], float],
         stop: StopRequest,
+        onward: str,
     ):
         self.folder, self.now, self.listeners, self.stop = folder, now, listeners, stop
-        self.phase, self.left = phase, left
+        self.phase, self.left, self.onward = phase, left, onward
         self.epoch = self.first = self.saved = epoch
         self.steps_before = 0
         self.saved_at = self.save_seconds = 0.0
@@ -287,7 +291,7 @@ class RunFiles(Callback):
             return
         checkpoint.save(self.folder / "checkpoint", {"epoch": self.epoch, **self.now.values()}, states)
         self.save_policy(states.params)
-        self.stop.advice = how_to_go_on(self.folder, self.epoch)
+        self.stop.advice = how_to_go_on(self.folder, self.epoch, self.onward)
         self.saved_at = time.monotonic()
         self.save_seconds = self.saved_at - began
 

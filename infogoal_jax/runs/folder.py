@@ -65,10 +65,11 @@ def check_new(folder: Path, names: Sequence[str]) -> None:
     except OSError as error:
         raise disk_error(folder, error) from error
     if there:
-        on_with_it = f", or go on with the run by --resume {typed(folder)}"
+        kind = "sweep" if configuration.SWEEP in there else "run"
+        on_with_it = f", or go on with the {kind} by --resume {typed(folder)}"
         raise UserError(
             f"out = {str(folder)!r}: holds a run already, or other files of its names ({', '.join(sorted(there))}); "
-            f"give another folder{on_with_it if configuration.NAME in there else ''}"
+            f"give another folder{on_with_it if there & {configuration.NAME, configuration.SWEEP} else ''}"
         )
 
 

@@ -19,7 +19,6 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner.jobs import Plan, read_plan, start
-from infogoal_jax.runner.training import how_to_go_on
 from infogoal_jax.runs import tables
 
 TASK = """
@@ -101,7 +100,7 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, m
     assert main("train --resume run --import my_task.py --num-epochs 3 --no-figures".split()) == 0
     assert main("pack run --out run.zip --import my_task.py".split()) == 0
     assert "for example: infogoal evaluate run.zip --import my_task.py\n" in capsys.readouterr().out
-    assert how_to_go_on(run, 3).endswith(f"go on with: infogoal train --resume {run} --import my_task.py")
+    assert imports.typed_command("train", "--resume", run) == f"infogoal train --resume {run} --import my_task.py"
     rows = (run / "evaluations.jsonl").read_text().splitlines()
     assert [json.loads(row)["epoch"] for row in rows] == [1, 1, 2, 2, 3, 3]
     description = json.loads((run / "config.json").read_text())

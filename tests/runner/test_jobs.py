@@ -30,6 +30,7 @@ from infogoal_jax.runner import executors, jobs, progress, training
 from infogoal_jax.runner.executors import Place, run_on_ray
 from infogoal_jax.runner.jobs import PARTS, Plan, combinations, jobs_of, read_plan, run_plan
 from infogoal_jax.runs import checkpoint, configuration, tables
+from infogoal_jax.stopping import Stopped
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
 CONFIG = hand_made.config("none", num_epochs=4, epochs_per_evaluation=2)
@@ -98,10 +99,27 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
         run_plan(CONFIG, plan, tmp_path / "sweep", say=stopping)
     assert (tmp_path / "sweep" / plan.names[0] / PARTS / "0-0" / "policy").exists()
     assert read_plan(tmp_path / "sweep") == (CONFIG, plan)
+    with pytest.raises(UserError, match="or go on with the sweep by --resume"):
+        run_plan(CONFIG, plan, tmp_path / "sweep")
     run_plan(CONFIG, plan, tmp_path / "sweep", resume=True, say=lambda words: None)
     for name in plan.names:
         assert same_run(tmp_path / "sweep" / name, tmp_path / "whole" / name)
     assert not list((tmp_path / "sweep").rglob("*.lock")) and not list((tmp_path / "sweep").rglob(PARTS))
+
+
+def test_what_is_said_of_a_stop_goes_on_with_the_whole_sweep(tmp_path, monkeypatch):
+    """A part was named, with which nothing but that part goes on."""
+    told = []
+
+    def stopped(*arguments, onward, **named):
+        told.append(onward)
+        raise Stopped
+
+    monkeypatch.setattr(training, "run", stopped)
+    with pytest.raises(Stopped):
+        run_plan(CONFIG, Plan([{"discount": 0.9}], [0, 1], 1), tmp_path / "sweep", say=lambda words: None)
+    assert told == [f"infogoal train --resume {tmp_path / 'sweep'}"]
+    assert training.how_to_go_on(tmp_path, 0, told[0]) == f"{tmp_path} has no checkpoint yet; go on with: {told[0]}"
 
 
 def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ is refused; and `infogoal pretrain` leaves one that HRAC takes."""
 import csv
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import hand_made_frames
 import hand_made_points
@@ -20,6 +21,8 @@ from infogoal_jax.envs.object_manipulation import Posed
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import load_environment
 from infogoal_jax.policy_file import ExportedPolicy
+from infogoal_jax.report import summary
+from infogoal_jax.runner import training
 from infogoal_jax.runs import folder, low_level, tables
 from infogoal_jax.runs.low_level import LowLevel, read, shipped
 
@@ -103,6 +106,21 @@ def test_pretrain_leaves_a_run_whose_policy_hrac_takes(tmp_path, monkeypatch, ca
     policy = load_run(tmp_path / "run").policy(seed, use_mean=True)
     np.testing.assert_array_equal(moves, policy(observation.joints, target, jax.random.key(0)))
     assert low_level.NAME in folder.RUN and "content" in steered.source
+
+
+def test_a_low_level_that_was_stopped_goes_on_as_one(tmp_path, monkeypatch, capsys):
+    """`infogoal train --resume` would leave no low level at its end."""
+    told = []
+
+    def stopped(*arguments, onward, **named):
+        told.append(onward)
+        return SimpleNamespace(stopped=True)
+
+    monkeypatch.setattr(training, "run", stopped)
+    monkeypatch.setattr(summary, "print_summary", lambda run: None)
+    assert main(["pretrain", "fetch_reach", "--out", str(tmp_path / "low")]) == 130
+    onward = f"infogoal pretrain fetch_reach --resume {tmp_path / 'low'}"
+    assert capsys.readouterr().out == f"Stopped. Go on with: {onward}\n" and told == [onward]
 
 
 def test_what_cannot_be_pretrained_is_refused(capsys):
