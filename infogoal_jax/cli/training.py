@@ -243,21 +243,14 @@ def train_parts(
 
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
     from infogoal_jax.runner.executors import run_on_ray
-    from infogoal_jax.runner.jobs import NAME, Plan, jobs_of, read_plan, run_plan, start
-    from infogoal_jax.runs.checkpoint import check_same_config
+    from infogoal_jax.runner.jobs import Plan, jobs_of, read_plan, run_plan, start, take_up
 
-    if resume:
-        planned, plan = read_plan(folder)
-        check_same_config(folder / NAME, planned, config)
-        config = planned
-    else:
-        plan = Plan(settings, list(seeds), vmap_size)
+    plan = read_plan(folder)[1] if resume else Plan(settings, list(seeds), vmap_size)
     if where.engine == "ray":
         execute = functools.partial(run_on_ray, workers=where.processes, address=where.ray_address)
         status = STATUS if run_plan(config, plan, folder, resume, execute).stopped else 0
     elif where.processes > 1:
-        if not resume:
-            start(config, plan, folder)
+        (take_up if resume else start)(config, plan, folder)
         status = train_in_processes(folder, where)
     else:
         status = STATUS if run_plan(config, plan, folder, resume).stopped else 0

@@ -26,6 +26,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.imports import checksums, typed_command
+from infogoal_jax.loading import load_environment
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
 from infogoal_jax.runner.listeners import advancing
@@ -212,9 +213,10 @@ def run_plan(
     if not resume:
         start(config, plan, folder)
     check(config, plan)
+    config = configuration.located(config)  # Workers may be in other folders.
     jobs = jobs_of(config, plan)
     if resume and ((folder / NAME).exists() or not all(job.is_done(folder) for job in jobs)):
-        check_same_plan(folder, config, plan)
+        take_up(config, plan, folder)
     with showing(jobs, folder, say) as place:
         outcome = execute(jobs, place)
     if all(job.is_done(folder) for job in jobs):
@@ -254,9 +256,14 @@ def start(config: TrainConfig, plan: Plan, folder: Path) -> None:
     check(config, plan)
     check_new(folder, (*RUN, NAME, PARTS))
     disk.make_folder(folder)
+    write_plan(config, plan, folder)
+
+
+def write_plan(config: TrainConfig, plan: Plan, folder: Path) -> None:
+    """Write what is to be run, which is to be found again from any folder."""
     made_with = {"imports": files} if (files := checksums()) else {}
     configuration.keep_imports(folder, files)
-    values = {"config": to_dict(config), **dataclasses.asdict(plan), **made_with}
+    values = {"config": to_dict(configuration.located(config)), **dataclasses.asdict(plan), **made_with}
     disk.write_json(folder / NAME, values, indent=2)
 
 
@@ -270,13 +277,26 @@ def read_plan(folder: Path) -> tuple[TrainConfig, Plan]:
     return configuration.made_with(files, values["config"], place), decode(Plan, values, place)
 
 
-def check_same_plan(folder: Path, config: TrainConfig, plan: Plan) -> None:
-    """Raise `UserError`, naming what differs, for another plan than that of the folder."""
+def take_up(config: TrainConfig, plan: Plan, folder: Path) -> None:
+    """Go on with the plan of a folder. Data may lie elsewhere by now: their place is noted, in the runs that are done
+    too. Raises `UserError`, naming what differs, for another plan or other data."""
     planned, then = read_plan(folder)
     checkpoint.check_same_config(folder / NAME, planned, config)
     for field in dataclasses.fields(Plan):
         before, now = getattr(then, field.name), getattr(plan, field.name)
         require(before == now, field.name, now, f"{folder / NAME} has {shown(before)}; give the same, or a new folder")
+    config = configuration.located(config)
+    if config == configuration.located(planned):
+        return
+    runs = {folder / name for name in plan.names} | {job.folder(folder) for job in jobs_of(config, plan)}
+    begun = {run: configuration.read(run) for run in runs if (run / configuration.NAME).exists()}
+    source = load_environment(config).source
+    for run, about in begun.items():
+        require(source == about.data, "data", source, f"{run} has {about.data!r}; give the same data")
+    for run, about in begun.items():
+        moved = dataclasses.replace(about.config, env=config.env, agent=config.agent)
+        configuration.write(run, dataclasses.replace(about, config=moved))
+    write_plan(config, plan, folder)
 
 
 def join(folder: Path, seeds: list[int]) -> None:

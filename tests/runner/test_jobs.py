@@ -2,6 +2,7 @@
 cannot be run."""
 
 import collections
+import dataclasses
 import io
 import json
 import os
@@ -105,6 +106,36 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     for name in plan.names:
         assert same_run(tmp_path / "sweep" / name, tmp_path / "whole" / name)
     assert not list((tmp_path / "sweep").rglob("*.lock")) and not list((tmp_path / "sweep").rglob(PARTS))
+
+
+def test_a_sweep_goes_on_from_another_folder_and_where_its_data_were_moved(tmp_path, monkeypatch, capsys):
+    """A path that was typed was kept as it was, and one given to go on with passed over."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "house").mkdir()
+    own = dataclasses.replace(CONFIG, env=dataclasses.replace(CONFIG.env, dataset="house"))
+    plan = Plan(combinations({"discount": [0.9, 0.95]}), [0, 1], 1)
+    jobs.start(own, plan, tmp_path / "sweep")
+    first = jobs_of(own, plan)[0]
+    training.run(first.config, first.seeds, first.folder(tmp_path / "sweep"))
+
+    def places() -> set[str]:
+        folders = [path.parent for path in (tmp_path / "sweep").rglob(configuration.NAME)]
+        configs = [configuration.read(folder).config for folder in folders]
+        return {config.env.dataset for config in [*configs, read_plan(tmp_path / "sweep")[0]]}
+
+    assert places() == {str(tmp_path / "house")}
+    (tmp_path / "house").rename(tmp_path / "moved")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    onward = ["train", "--resume", "../sweep", "--no-figures", "--env.dataset", "../moved"]
+    source = hand_made.environment().source
+    monkeypatch.setattr(jobs, "load_environment", lambda config: types.SimpleNamespace(source="another house"))
+    assert main(onward) == 2 and places() == {str(tmp_path / "house")}
+    assert f"data = 'another house': {first.folder(tmp_path / 'sweep')} has {source!r}" in (
+        capsys.readouterr().err.replace("../sweep", str(tmp_path / "sweep"))
+    )
+    monkeypatch.setattr(jobs, "load_environment", lambda config: types.SimpleNamespace(source=source))
+    assert main(onward) == 0 and places() == {str(tmp_path / "moved")}
 
 
 def test_what_is_said_of_a_stop_goes_on_with_the_whole_sweep(tmp_path, monkeypatch):
