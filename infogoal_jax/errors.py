@@ -1,9 +1,10 @@
 """The one error a user is meant to read: what was given, why it cannot be used, and what would be right; and what it is
 worded with."""
 
+import contextlib
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 LONGEST = 200
@@ -27,6 +28,18 @@ def require_known(field: str, name: Any, known: Iterable[str], words: str, more:
     if not isinstance(name, str) or name not in names:  # The nearest is looked for then alone: it takes a while.
         remedy = "; ".join(filter(None, (f"Known: {', '.join(names)}", more)))
         raise UserError(f"{field} = {shown(name)}: {words}.{nearest(str(name), names)} {remedy}")
+
+
+@contextlib.contextmanager
+def renamed(**fields: str) -> Iterator[None]:
+    """Inside, an error about one of these fields names in its place the argument that a user gave for it."""
+    try:
+        yield
+    except UserError as error:
+        field, rest = re.fullmatch(r"(\w*)(.*)", str(error), re.DOTALL).groups()
+        if field not in fields:
+            raise
+        raise UserError(fields[field] + rest) from error
 
 
 def shown(value: object) -> str:

@@ -29,7 +29,7 @@ from jax import dtypes
 from infogoal_jax import checks
 from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs.goal_task import Episode, GoalTask
-from infogoal_jax.errors import UserError, nearest, require, require_known, shown
+from infogoal_jax.errors import UserError, nearest, renamed, require, require_known, shown
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goals import EVALUATED_GOALS, GoalBox
 from infogoal_jax.keys import from_seed
@@ -208,7 +208,8 @@ def from_brax(
         spread = np.maximum(MARGIN * np.ptp(drawn, 0), radius)
         low, high = drawn.min(0) - spread, drawn.max(0) + spread
         sampler = partial(draw_one, drawn)
-    goals = GoalBox.of(low, high, sampler=sampler, use_of=held_out, num_evaluated=num_evaluated)
+    with renamed(use_of="held_out"):
+        goals = GoalBox.of(low, high, sampler=sampler, use_of=held_out, num_evaluated=num_evaluated)
     require(goals.shape == (goal_size,), "low", np.shape(low), f"give as many numbers as goal has, {goal_size}")
     return task.replace(goals=goals)
 

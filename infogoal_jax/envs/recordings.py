@@ -18,7 +18,7 @@ from infogoal_jax.data.archives import checksum
 from infogoal_jax.data.episodes import Episodes, load
 from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.goal_task import GoalTask
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, renamed, require
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.replay import Trajectories
 
@@ -144,13 +144,9 @@ def from_recordings(
         checks.function(held_out, "held_out", 1, "give a function of a goal, or leave it out")
     with np.errstate(over="ignore"):  # Corners that are not finite are refused.
         margin = np.maximum(MARGIN, 1e-5 * np.abs(states).max(0)).astype(np.float32)
-    space = GoalBox.of(
-        states.min(0) - margin,
-        states.max(0) + margin,
-        use_of=held_out,
-        seen=None if scaled else jnp.asarray if seen is None else seen,
-        num_evaluated=1,
-    )
+    seen = None if scaled else jnp.asarray if seen is None else seen
+    with renamed(use_of="held_out"):
+        space = GoalBox.of(states.min(0) - margin, states.max(0) + margin, use_of=held_out, seen=seen, num_evaluated=1)
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)
     task = RecordedTask(
         space,

@@ -636,6 +636,21 @@ def test_a_region_of_recorded_states_is_held_out():
     assert (desired[:, 0] <= middle).all() and {"train", "test"} <= {*task.goals.groups}
 
 
+@pytest.mark.parametrize(
+    ("held_out", "said"),
+    [
+        (lambda goal: goal, r"^held_out = 'float32 \[2\]': return bool \[\]"),
+        (lambda goal: True, "^held_out = '0% training goals': leave at least"),
+        (lambda goal: 1 / 0, "^held_out: raised ZeroDivisionError"),
+        (lambda: True, "^held_out = .*cannot be called with 1 arguments"),
+    ],
+)
+def test_what_is_wrong_with_held_out_is_said_of_it(held_out, said):
+    """`use_of` was named, the argument of the goal space that is made of it."""
+    with pytest.raises(UserError, match=said):
+        from_recordings(of_arrays(recorded(observations=SIDE, actions=SIDE)), held_out=held_out)
+
+
 def spotted(goals):
     """Pictures of goals [..., 2], uint8 [..., 8, 8, 3]: as bright as the first number."""
     return jnp.broadcast_to(goals[..., :1, None, None], (*goals.shape[:-1], 8, 8, 3)).astype(jnp.uint8)

@@ -340,6 +340,7 @@ class Sizeless(Line):
         (Line(), {"starts": 0}, "starts = 0"),
         (Line(), {"ends_at_goal": "yes"}, "ends_at_goal = 'yes'"),
         (Line(), {"low": [0.0]}, "high = None: give both"),
+        (Line(), {"held_out": lambda goal: goal}, "held_out = 'float32 [1]': return bool []"),
         (Line(), {"low": [0.0, 0.0], "high": [1.0, 1.0]}, "low = (2,): give as many numbers as goal has, 1"),
     ],
 )
