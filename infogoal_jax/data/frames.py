@@ -17,7 +17,7 @@ import numpy as np
 
 from infogoal_jax.data import archives, frames_check
 from infogoal_jax.data.members import read
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require, typed
 from infogoal_jax.files import from_json
 
 # Measured on 13,824 flat-shaded frames of 64 x 64 x 3 on 2 cores: stored 170 MB, level 1 24 MB, level 6 22 MB and twice
@@ -116,8 +116,9 @@ def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
 
     Raises `UserError` if the parts do not belong together (nothing is written then), or if the disk refuses.
     """
+    require(isinstance(dataset, FrameDataset), "dataset", type(dataset).__name__, "give a FrameDataset")
     members = members_of(dataset)
-    frames_check.check_members(path, members)
+    frames_check.check_members(path, members, "nothing is written")
     archives.save(path, members, "image dataset", zipfile.ZIP_DEFLATED, DEFLATE_LEVEL)
 
 
@@ -127,8 +128,9 @@ def load(path: str | os.PathLike) -> FrameDataset:
     with archives.naming("image dataset", path, frames_check.REMEDY):
         archive = archives.read(path, frames_check.REMEDY, version=None)
     members, unreadable = read(archive, frames_check.SCHEMA, frames_check.REMEDY)
-    frames_check.stop_at_first(path, unreadable)
-    frames_check.check_members(path, members)
+    more = f"`infogoal data check {typed(path)}` lists everything that is wrong"
+    frames_check.stop_at_first(path, unreadable, more)
+    frames_check.check_members(path, members, more)
     fields = {name: members.get(name) for name in frames_check.SCHEMA if name != "format_version"}
     fields |= {name: tuple(members[name].tolist()) if name in members else () for name in TEXTS}
     return FrameDataset(**(fields | {"about": from_json(str(members["about"]))}))
@@ -153,7 +155,7 @@ def cached(name: str, build: Callable[[], FrameDataset]) -> FrameDataset:
     )
     dataset = build()
     members = members_of(dataset)
-    frames_check.check_members(name, members)
+    frames_check.check_members(name, members, "nothing is kept")
     try:
         archives.write(path, members, zipfile.ZIP_DEFLATED, DEFLATE_LEVEL)
     except OSError as error:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.data.members import Fault, Finding, Member, check_file, fitting, limited, missing
-from infogoal_jax.errors import UserError, typed
+from infogoal_jax.errors import UserError
 from infogoal_jax.files import from_json
 
 FORMAT_VERSION = 1
@@ -200,14 +200,12 @@ def unseen_objects(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
             yield f"objects[{column}]", f"{str(found['objects'][column])!r} is detected in no frame; it can be no goal"
 
 
-def check_members(path: str | os.PathLike, members: Mapping[str, np.ndarray]) -> None:
-    """Raise the first fault of the members of a file as a `UserError`."""
-    stop_at_first(path, (*missing(members, SCHEMA, REMEDY), *member_faults(members)))
+def check_members(name: str | os.PathLike, members: Mapping[str, np.ndarray], more: str) -> None:
+    """Raise the first fault of the members of a dataset as a `UserError`, which ends in `more`."""
+    stop_at_first(name, (*missing(members, SCHEMA, REMEDY), *member_faults(members)), more)
 
 
-def stop_at_first(path: str | os.PathLike, faults: Iterable[Fault]) -> None:
+def stop_at_first(name: str | os.PathLike, faults: Iterable[Fault], more: str) -> None:
     """Raise the first fault as a `UserError`, in the words of `check_frames`."""
     for where, problem in faults:
-        raise UserError(
-            f"{path}: {where}: {problem}; `infogoal data check {typed(path)}` lists everything that is wrong"
-        )
+        raise UserError(f"{name}: {where}: {problem}; {more}")

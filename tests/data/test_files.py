@@ -84,6 +84,18 @@ def test_a_folder_that_is_half_written_goes_when_the_process_stops_at_once(tmp_p
         beside.mkdir()  # For the end of the block.
 
 
+def test_what_cannot_be_saved_is_not_said_to_be_a_file(tmp_path):
+    """`infogoal data check` of a file that was not written was the remedy."""
+    path = tmp_path / "row"
+    with pytest.raises(UserError) as refused:
+        frames.save(path, dataclasses.replace(small(), frames=small().frames[:2]))
+    remedy = "give [frames] with as many in both; nothing is written"
+    assert str(refused.value) == f"{path}: state: has 6 frames, but frames has 2; {remedy}"
+    with pytest.raises(UserError, match="dataset = 'int': give a FrameDataset"):
+        frames.save(path, 3)
+    assert not path.exists()
+
+
 @pytest.mark.parametrize("changes", [{}, OPTIONAL, {"frames": small().frames[..., :1]}], ids=["all", "few", "grey"])
 def test_what_is_saved_is_loaded_bit_by_bit(changes, tmp_path):
     saved = small(**changes)
