@@ -28,7 +28,11 @@ from infogoal_jax.train.contracts import check_simulated
 from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
 
-ENDINGS = (".mp4", ".gif")
+SHORTEST = {".mp4": 2, ".gif": 1}
+"""Pixels of a side, by the ending of the file."""
+ENDINGS = tuple(SHORTEST)
+HEIGHTS = 64, 1620
+"""Of a picture of Fetch, whose width is 4/3 of it."""
 COLOURS = 128
 """Of a GIF: one palette for all frames, chosen by eight of them."""
 
@@ -86,6 +90,8 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
             for frame in of_one_size(frames):
                 if writer is None:
                     height, width, _ = frame.shape
+                    remedy = f"a {path.suffix} has sides of at least {SHORTEST[path.suffix]}; give larger frames"
+                    require(min(height, width) >= SHORTEST[path.suffix], "frames", f"{height} x {width}", remedy)
                     writer = open_writer(beside, fps, (width, height))
                 writer.write(frame[..., ::-1])
                 count += 1
@@ -147,7 +153,8 @@ class Painter(NamedTuple):
 
 def painter_of(env: Any, height: int) -> Painter | None:
     """The painter of a task: of a Fetch robot, or of the pictures that the task draws itself; None for a task that
-    cannot be drawn. What it makes raises `UserError` for a picture of the task's own that is no uint8 [H, W, 3]."""
+    cannot be drawn. Raises `UserError` for a height that a robot is not drawn in; what it makes does for a picture of
+    the task's own that is no uint8 [H, W, 3]."""
     task = env.unwrapped
     robot = getattr(task, "robot", task)
 
@@ -165,6 +172,8 @@ def painter_of(env: Any, height: int) -> Painter | None:
         return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
 
     if isinstance(robot, Fetch):
+        low, high = HEIGHTS
+        require(low <= height <= high, "height", height, f"give {low} to {high} pixels")
         return Painter(scene, 25)
     if getattr(type(task), "draw", Environment.draw) is Environment.draw:
         return None

@@ -81,6 +81,8 @@ def test_colours_are_not_swapped(tmp_path):
         ("missing/a.mp4", frames(), "folder is not there"),
         ("a.avi", frames(), "mp4"),
         ("a.mp4", [], "at least one"),
+        ("a.mp4", [np.zeros((1, 16, 3), np.uint8)], "frames = '1 x 16': a .mp4 has sides of at least 2; give larger"),
+        ("a.gif", [np.zeros((0, 4, 3), np.uint8)], "frames = '0 x 4': a .gif has sides of at least 1"),
         ("a.mp4", [np.zeros((32, 48))], "uint8"),
         ("a.mp4", [*frames(2), np.zeros((48, 32, 3), np.uint8)], r"frames\[2\]"),
     ],
