@@ -62,13 +62,19 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         return Traits(finite_goals=False, moves=env.discrete, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
     if preset is None:
-        words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
+        words = (own_docstring(type(env)) or "A task of one's own.").split("\n")[0]
         preset = within_episodes(plane.preset(words, EPOCHS), env.episode_length)
         preset = dataclasses.replace(preset, agent="dqn" if env.discrete else "td3")
     check_preset(name, preset)  # Before anything is registered: a task without its preset would stay.
     envs.registry[name] = Entry(config, make, traits=traits)
     setattr(Configurations, name, config)
     registry[name] = preset
+
+
+def own_docstring(record: type) -> str:
+    """What the author of a record said of it: one without a docstring has its signature in its place."""
+    said = record.__doc__ or ""
+    return "" if said.startswith(f"{record.__name__}(") else said
 
 
 def within_episodes(preset: Preset, episode_length: int) -> Preset:

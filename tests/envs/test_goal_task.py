@@ -122,6 +122,13 @@ WRONG = {
 }
 
 
+def test_a_task_without_a_docstring_is_not_described_by_its_signature():
+    """Which Python puts in its place."""
+    for task, words in ((changed(), "A task of one's own."), (Square(GOALS), "A point in a square.")):
+        presets.register("square", task)
+        assert presets.registry["square"].description == words
+
+
 @pytest.mark.parametrize("case", WRONG)
 def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case):
     members, message = WRONG[case]
