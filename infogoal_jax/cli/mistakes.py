@@ -9,6 +9,7 @@ from typing import Any
 
 import tyro
 
+from infogoal_jax import imports
 from infogoal_jax.errors import UserError, nearest, shown
 
 try:
@@ -54,7 +55,7 @@ def explanation(event: Any, arguments: list[str], known_flags: Callable[[], list
             flag = next((word.partition("=")[0] for word in event.tokens if word.startswith("-")), "")
             if not flag:
                 return f"{' '.join(map(shown, event.tokens))}: no flag takes it; leave it out"
-            known = list(dict.fromkeys(known_flags()))
+            known = list(dict.fromkeys([*known_flags(), imports.FLAG]))
             of_other_parts = [repr(name) for name in known if field_of(name) == field_of(flag)]
             meant = f" Did you mean {' or '.join(of_other_parts)}?" if of_other_parts else nearest(flag, known)
             return f"{flag}: there is no such flag.{meant}".rstrip(".")

@@ -122,7 +122,7 @@ def train(
     elif resume:
         from infogoal_jax.runs import configuration
 
-        before = configuration.read(Path(resume)).seeds
+        before = configuration.read(Path(resume), "resume").seeds
         numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
     folder = Path(resume or out or several.agreed(str(new_folder(config.task, presets.name_of(config)))))
     onward = typed_command(*command, "--resume", folder)
@@ -328,7 +328,7 @@ def tasks(arguments: list[str], command: Command = train) -> TaskCommands:
         check_same_parts(config, task, choice)
         check_left_out(arguments, ("--small", "--sweep", "--vmap-size", "--seeds", "--first-seed"), "sweep")
         return of_task(train, config, choice, arguments if task else [config.task, *arguments], seeds=len(plan.seeds))
-    about = configuration.read(Path(choice.resume))
+    about = configuration.read(Path(choice.resume), "resume")
     check_same_parts(about.config, task, choice)
     check_left_out(arguments, ("--small",), "run")
     arguments = arguments if task else [about.config.task, *arguments]

@@ -167,7 +167,7 @@ def last_point(folder: Path, now: Description, states_shape: Any) -> Point:
     states_shape: shapes of all seeds' states. Raises `UserError`, and changes nothing, for a folder without a run, a
     file that is not what was written, another configuration, or a table without all rows until the checkpoint.
     """
-    then, saved = configuration.read(folder), folder / "checkpoint"
+    then, saved = configuration.read(folder, "resume"), folder / "checkpoint"
     check_same(folder / configuration.NAME, then, now)
     if never_got_past_a_chunk(folder, now.config.epochs_per_evaluation):
         return BEGINNING

@@ -226,7 +226,7 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
     """The description of the run in this folder. Raises `UserError`, naming the field and what to give, if there is
     none, or it is not one."""
     values, place = read_values(folder, field, remedy)
-    if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:
+    if field in ("run", "resume") and isinstance(values, dict) and OF_A_SEARCH in values:
         given = f"{field} = {str(folder)!r}"
         raise UserError(f"{given}: is of a search, which `infogoal tune --resume` goes on with; {remedy}")
     return from_values(values, place)

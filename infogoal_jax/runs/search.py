@@ -129,10 +129,10 @@ def write_plan(folder: Path, result: TuneResult) -> None:
 def read_plan(folder: Path) -> tuple[Description, list[Trial]]:
     """What a search or a final is of, and the trials that it was to run. Raises `UserError` for a folder that holds
     none."""
-    values, place = configuration.read_values(folder, "search", GIVE_A_SEARCH)
+    values, place = configuration.read_values(folder, "resume", GIVE_A_SEARCH)
     about = configuration.from_values(values, place)
     if OF_A_SEARCH not in values:
-        raise UserError(f"search = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
+        raise UserError(f"resume = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
     trials = decode_value(list[Trial], values[OF_A_SEARCH], OF_A_SEARCH, place)
     check_trials(trials, place)
     return about, trials

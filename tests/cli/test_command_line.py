@@ -92,13 +92,13 @@ MISTAKES = [
     ("train object_search --env.split not_there.json", ["not_there.json"]),
     ("train object_search --env.dataset HOUSE --env.min-box-size 0.9", ["min_box_size"]),
     ("train object_search --env.text-embeddings not_there.npz", ["not_there.npz"]),
-    ("train object_search --resume .", ["run = '.': holds no config.json"]),
+    ("train object_search --resume .", ["resume = '.': holds no config.json"]),
     ("train object_search --out a_file/run", ["a_file/run", "could not be written", "does not lead through a file"]),
     ("trian object_search", ["trian", "Did you mean 'train'"]),
     ("evaluate not_there", ["run = 'not_there': there is no such folder"]),
     ("evaluate ~not_there/run", ["run = '~not_there/run': there is no such folder"]),
-    ("tune --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
-    ("final --resume not_there", ["search = 'not_there'", "`infogoal tune` or `infogoal final`"]),
+    ("tune --resume not_there", ["resume = 'not_there'", "`infogoal tune` or `infogoal final`"]),
+    ("final --resume not_there", ["resume = 'not_there'", "`infogoal tune` or `infogoal final`"]),
     ("compare --out a.png", ["runs = ()", "give at least one folder of a run"]),
     ("reproduce table1 --known not_there", ["known = 'not_there'", "infogoal reproduce merge"]),
     ("final --resume not_there --trials 3", ["--trials: a final that goes on has its own"]),
@@ -132,6 +132,9 @@ MISTAKES = [
     ("train object_search --seed 3", ["--seed: there is no such flag. Did you mean '--seeds'"]),
     ("train object_search --epochs 3", ["--epochs: there is no such flag. Did you mean '--num-epochs'"]),
     ("train object_search --hidden 8", ["--hidden: there is no such flag. Did you mean '--"]),
+    ("train object_search --imprt my_task.py", ["--imprt: there is no such flag. Did you mean '--import'?"]),
+    ("report run --imports=my_task.py", ["--imports: there is no such flag. Did you mean '--import'?"]),
+    ("video fetch_reach --out a.gif --height 1", ["height = 1: give 64 to 1620 pixels"]),
     ("train push", ["task = 'push'", "Did you mean 'fetch_push'?"]),
     ("train object_search 3", ["'3': no flag takes it; leave it out"]),
     ("pretrain fetch_push --seeds x", ["seeds = 'x'", "infogoal pretrain fetch_push --help"]),
@@ -194,7 +197,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     """Of this configuration and these seeds, or that in --out."""
     asked = []
 
-    def run(config, seeds, folder, resume, *listeners, phase):
+    def run(config, seeds, folder, resume, *listeners, **named):
         asked.append((str(folder), resume, list(seeds)))
         raise UserError("that is enough")
 
