@@ -111,10 +111,10 @@ def libraries() -> list[str]:
 
 
 def with_environment(arguments: list[str]) -> list[str]:
-    """The words with `--env LIBRARY:NAME`, or LIBRARY:NAME in place of a task, as the task of that library and its
-    flag. Raises `UserError` for another library, and where no name follows."""
+    """The words with `--env LIBRARY:NAME` as the task of that library and its flag. Raises `UserError` for another
+    library, and where no name follows."""
     rest, given, is_name = [], [], False
-    for number, word in enumerate(arguments):
+    for word in arguments:
         flag, sign, value = word.partition("=")
         follows, is_name = is_name, False
         if follows and not word.startswith("-"):
@@ -122,8 +122,6 @@ def with_environment(arguments: list[str]) -> list[str]:
         elif flag == ENV:
             given.append(value)
             is_name = not sign
-        elif number == 0 and ":" in word and word.partition(":")[0] in libraries():
-            given.append(word)
         else:
             rest.append(word)
     if not given:

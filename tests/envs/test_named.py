@@ -28,10 +28,11 @@ SMALL += " --updates-per-epoch 2 --batch-size 8 --evaluation-starts 1 --no-figur
     [
         ("--env brax:reacher --seeds 2", "brax --env.id reacher --seeds 2"),
         ("--seeds 2 --env=jaxgcrl:ant", "jaxgcrl --env.id ant --seeds 2"),
-        ("playground:ReacherEasy --help", "playground --env.id ReacherEasy --help"),
+        ("--env playground:ReacherEasy --help", "playground --env.id ReacherEasy --help"),
+        ("brax:reacher --seeds 2", "brax:reacher --seeds 2"),
         ("point_maze --env.held-out", "point_maze --env.held-out"),
         ("--env ogbench:cube-single-play-v0 --seeds 2", "ogbench --env.id cube-single-play-v0 --seeds 2"),
-        ("ogbench:my/walks.npz", "ogbench --env.dataset my/walks.npz"),
+        ("--env ogbench:my/walks.npz", "ogbench --env.dataset my/walks.npz"),
         ("", ""),
     ],
 )
@@ -48,6 +49,7 @@ def test_words_mean_a_task_and_a_name(words, meant):
         ),
         ("--env brax:", "env = 'brax:': give brax:NAME"),
         ("--env", "env = '': give brax:NAME"),
+        ("brax:reacher", "task = 'brax:reacher': no such task"),
         ("point_maze --env brax:reacher", "'point_maze' is a task already"),
         ("--env brax:reachr", "env.id = 'reachr': brax has no such environment. Did you mean 'reacher'?"),
         ("--env brax:ant", "env.goal = (): no goal of brax:ant is known; name places"),
