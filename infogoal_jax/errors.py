@@ -36,10 +36,11 @@ def renamed(**fields: str) -> Iterator[None]:
     try:
         yield
     except UserError as error:
-        field, rest = re.fullmatch(r"(\w*)(.*)", str(error), re.DOTALL).groups()
+        said = str(error)
+        field = re.match(r"\w+\b(?!\.)|", said)[0]  # Nothing of what is `env.id`.
         if field not in fields:
             raise
-        raise UserError(fields[field] + rest) from error
+        raise UserError(fields[field] + said.removeprefix(field)) from error
 
 
 def shown(value: object) -> str:

@@ -13,7 +13,7 @@ from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig, traits
 from infogoal_jax.envs.recordings import from_recordings, naming_field, recorded_in
-from infogoal_jax.errors import nearest, require
+from infogoal_jax.errors import nearest, renamed, require
 from infogoal_jax.field_types import Size, Within
 from infogoal_jax.files import expanded
 from infogoal_jax.registry import Entry
@@ -153,8 +153,12 @@ def make_gymnasium(config: GymnasiumConfig) -> AdaptedTask:
 
 
 def with_recordings(make: Callable[[LibraryConfig], AdaptedTask], config: LibraryConfig) -> AdaptedTask:
-    """The task, with what it learns from offline where a file is named."""
-    return recorded_in(make(config), config.dataset)
+    """The task, with what it learns from offline where a file is named. Raises `UserError`, naming the flag, where the
+    library has no such environment or the environment no such places."""
+    fields = {name: f"env.{name}" for name in ("goal", "achieved", "hidden", "radius", "episode_length")}
+    with renamed(make="env.id", name="env.id", env="env.id", **fields):
+        task = make(config)
+    return recorded_in(task, config.dataset)
 
 
 DOWNLOADED = "~/.ogbench/data"
