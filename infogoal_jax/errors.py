@@ -37,7 +37,7 @@ def renamed(**fields: str) -> Iterator[None]:
         yield
     except UserError as error:
         said = str(error)
-        field = re.match(r"\w+\b(?!\.)|", said)[0]  # Nothing of what is `env.id`.
+        field = re.match(r"\w+\b(?!\.)|", said)[0]  # Not the `env` of `env.id`.
         if field not in fields:
             raise
         raise UserError(fields[field] + said.removeprefix(field)) from error
