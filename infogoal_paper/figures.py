@@ -20,6 +20,7 @@ from infogoal_jax.report.canvas import (
     draw_curve,
     empty_figure,
     finish_share_axis,
+    interval_in_words,
     room_colour,
 )
 from infogoal_jax.report.codes import draw_codes, principal_components
@@ -253,8 +254,9 @@ def fig8(results: Results) -> Figure | None:
     if not any("SSE-DB" in title for title in found):
         return None
     shortest = min(len(result.evaluations["env_steps"][0]) for result in found.values())
+    counts = [len(result.evaluations["env_steps"]) for result in found.values()]
     below = (
-        "synthetic house 0, a stand-in; mean over seeds with 95 % interval, each seed a thin line",
+        f"synthetic house 0, a stand-in; mean over seeds{interval_in_words(counts)}",
         f"in the legend: area under the curve ± 95 % interval, on the left over the first {shortest} evaluations",
     )
     figure = empty_figure("Sample efficiency and optimality with and without SSE-DB", below, (12, 8))
@@ -284,7 +286,8 @@ def fig13(results: Results) -> Figure | None:
     result = row.results[0]
     updates = result.about["updates"] * np.arange(1, result.evaluations["infogoal/beta"].shape[1] + 1)
     threshold = result.about["config"]["hyper"]["learner"]["beta_threshold"]
-    below = ("mean over seeds with 95 % interval, each seed a thin line; the paper: beta about 0.013, accuracy 0.96",)
+    interval = interval_in_words([len(result.evaluations["infogoal/beta"])])
+    below = (f"mean over seeds{interval}; the paper: beta about 0.013, accuracy 0.96",)
     figure = empty_figure("FetchPickAndPlace: adaptive Lagrange multiplier", below, (10, 4.2))
     left, right = figure.subplots(1, 2)
     draw_curve(left, updates, result.evaluations["infogoal/beta"], USE_COLOURS["train"], "beta")

@@ -50,8 +50,8 @@ LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL 
 def seeds_in_words(*counts: int) -> str:
     """Of so many seeds each number is: `1 seed, no interval`, or `2 to 5 seeds, mean ± 95 % interval`."""
     fewest, most = min(counts), max(counts)
-    if most == 1:
-        return "1 seed, no interval"
+    if most < 2:
+        return "1 seed, no interval" if most else "no seed is left"
     return f"{f'{fewest} to ' * (fewest < most)}{most} seeds, mean ± 95 % interval"
 
 

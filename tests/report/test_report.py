@@ -118,6 +118,9 @@ def test_run_whose_seeds_all_diverged_still_reports(diverged_run, env):
     ]
     (diverged_run / "epochs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     text = printed(print_run, diverged_run)
+    quiet = Console(file=io.StringIO())
+    evaluate_run(diverged_run, 1, 1, 0.0, env=env, console=quiet)
+    assert "no seed is left" in quiet.file.getvalue()
     assert "every seed diverged" in text and all(f"seed {seed} diverged at epoch 1" in text for seed in SEEDS)
     assert draw_figures(diverged_run, env=env) == []
 
