@@ -94,6 +94,8 @@ def train(
     from infogoal_jax.runner import training
     from infogoal_jax.runner.compilation import use_compilation_cache
     from infogoal_jax.runner.listeners import make_listeners
+    from infogoal_jax.runs.configuration import SWEEP
+    from infogoal_jax.runs.folder import check_new
 
     check_where(where, resume)
     if where.distributed:
@@ -125,6 +127,8 @@ def train(
         before = configuration.read(Path(resume), "resume").seeds
         numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
     folder = Path(resume or out or several.agreed(str(new_folder(config.task, presets.name_of(config)))))
+    if not resume:
+        check_new(folder, (SWEEP,))  # Whose runs stand in it.
     onward = typed_command(*command, "--resume", folder)
     if not several.is_writer():
         sweep = training.run(config, numbers, folder, bool(resume), onward=onward)
@@ -220,7 +224,8 @@ def read_settings(words: tuple[str, ...]) -> list[dict[str, float]]:
         name, sign, listed = word.partition("=")
         name = name.removeprefix("hyper.").replace("-", "_")
         remedy = "give FIELD=NUMBER,NUMBER,..., such as learning_rate=1e-4,3e-4"
-        require(bool(sign) and bool(name) and name not in values, "sweep", word, remedy)
+        require(bool(sign) and bool(name), "sweep", word, remedy)
+        require(name not in values, "sweep", word, f"{name} is given already; list all of its values there")
         try:
             values[name] = [float(value) for value in listed.split(",")]
         except ValueError:

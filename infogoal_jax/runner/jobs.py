@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, nearest, require, shown
+from infogoal_jax.errors import UserError, counted, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.imports import checksums, typed_command
 from infogoal_jax.loading import load_environment
@@ -87,7 +87,7 @@ class RunJob:
     def name(self) -> str:
         """The task, the setting and the seeds."""
         words = self.path.replace(f"{PARTS}/", "").strip("/")
-        return f"{self.config.task} {words or f'{len(self.seeds)} seeds'}"
+        return f"{self.config.task} {words or counted(len(self.seeds), 'seed')}"
 
     @property
     def members(self) -> tuple[str, ...]:

@@ -247,6 +247,7 @@ def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
         (["--sweep", "learning_rat=1e-4"], "sweep = 'learning_rat': no such float. Did you mean 'learning_rate'?"),
         (["--sweep", "learning_rate=fast"], "sweep = 'learning_rate=fast'"),
         (["--sweep", "learning_rate"], "FIELD=NUMBER"),
+        (["--sweep", "discount=0.9", "discount=0.8"], "sweep = 'discount=0.8': discount is given already"),
         (["--sweep", "learning_rate=1e-4,1e-4"], "give each setting once"),
         (["--sweep", "learning_rate=-1"], "learning_rate = -1"),
         (["--vmap-size", "-1"], "vmap_size = -1"),
@@ -294,6 +295,14 @@ def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
     with pytest.raises(UserError, match="holds a run already"):
         run_plan(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
     assert before == {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+
+
+def test_a_run_is_not_written_into_the_folder_of_a_sweep(tmp_path, capsys):
+    """Which read as a run from then on."""
+    jobs.start(CONFIG, Plan(combinations({"discount": [0.9]}), [0], 0), tmp_path / "sweep")
+    assert main(["train", "point_maze", "--out", str(tmp_path / "sweep")]) == 2
+    assert f"or go on with the sweep by --resume {tmp_path / 'sweep'}" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "sweep").iterdir()] == ["sweep.json"]
 
 
 @pytest.mark.parametrize(
@@ -401,4 +410,8 @@ def test_settings_are_named_by_as_many_digits_as_tell_them_apart():
 def test_a_job_says_what_it_is(tmp_path):
     names = [job.name for job in jobs_of(CONFIG, Plan(combinations({"discount": [0.9]}), [0, 1], 1))]
     assert names == [f"{CONFIG.task} discount=0.9/0-0", f"{CONFIG.task} discount=0.9/1-1"]
+    assert [jobs_of(CONFIG, Plan([{}], seeds, 0))[0].name for seeds in ([0], [0, 1])] == [
+        f"{CONFIG.task} 1 seed",
+        f"{CONFIG.task} 2 seeds",
+    ]
     assert json.dumps(names) and Place(tmp_path).left() == float("inf") and executors.LOSSES > 1
