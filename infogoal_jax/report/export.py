@@ -20,7 +20,7 @@ from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.target_states import SubgoalEnv
 from infogoal_jax.errors import UserError, reason, require, shown
 from infogoal_jax.learners.learner import conditioned
-from infogoal_jax.report.runs import Run
+from infogoal_jax.report.runs import Run, diverged_seeds
 from infogoal_jax.runs import disk
 from infogoal_jax.train.parts import tests_on_means
 from infogoal_jax.train.program import Train
@@ -45,10 +45,12 @@ NUMBERS = {np.dtype(kind).name for kind in np.typecodes["AllInteger"] + np.typec
 def export(run: Run, out: Path, seed: int | None = None, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
     """Write the greedy policy of a seed of a run, of its first where none is named, and return it as read back.
 
-    Raises `UserError` for a seed that the run does not have, or a disk that refuses.
+    Raises `UserError` for a seed that the run does not have or that diverged, or a disk that refuses.
     """
+    seed = run.seed_of(seed)
+    require(seed not in diverged_seeds(run.folder), "seed", seed, "diverged in training: give another one")
     params = run.params(seed)
-    about = {"seed": run.seed_of(seed), "data": run.data, "versions": run.versions}
+    about = {"seed": seed, "data": run.data, "versions": run.versions}
     return export_params(run.train, params, out, about, stablehlo)
 
 

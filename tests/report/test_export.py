@@ -25,7 +25,7 @@ from infogoal_jax.errors import UserError, counted
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import steer
 from infogoal_jax.report import export, runs
-from infogoal_jax.runs import low_level
+from infogoal_jax.runs import low_level, tables
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
@@ -354,13 +354,17 @@ def test_both_levels_of_continuous_policies_do_as_with_jax(make, actions, tmp_pa
         assert not np.array_equal(before.target, state.target) or number % exported.about["interval"]
 
 
-def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
+def test_a_seed_that_is_not_there_or_diverged_is_refused(shelf, tmp_path):
     run = runs.Run(
         config=shelf.train.config, seeds=[0, 1], data="", versions={}, device="", folder=tmp_path, name="run"
     )
     with pytest.raises(UserError, match="seed = 7"):
         export.export(run, tmp_path / "policy.npz", 7)
     assert run.seed_of() == 0 and dataclasses.replace(run, seeds=[5, 6]).seed_of() == 5
+    lost = dict.fromkeys(tables.WATCHED, float("nan")) | {"seed": 0, "epoch": 1}
+    tables.append_rows(tmp_path, "epochs", [lost])
+    with pytest.raises(UserError, match="seed = 0: diverged in training: give another one"):
+        export.export(run, tmp_path / "policy.npz")
 
 
 def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
