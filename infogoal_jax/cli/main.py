@@ -170,12 +170,17 @@ def said_by_simulator(error: BaseException) -> str:
 
 FOLDER_FLAGS = ("--resume", "--out")
 """Flags whose default is an empty word, which nobody types."""
+LIST_FLAGS = ("--sweep", "--fields", "--metrics", "--labels", "--wrap", "--tasks", "--methods", "--variants", "--sets")
+"""Flags that take any number of words, of which none would count as not given."""
 
 
 def check_given(arguments: list[str]) -> None:
     """Raise `UserError` for an empty word where a folder is named, as an unset variable of a shell leaves it: it would
-    count as not given, and something else would be written to."""
+    count as not given, and something else would be written to. And for a list of nothing."""
     for word, following in itertools.pairwise([*arguments, None]):
+        is_list = word in LIST_FLAGS and (following is None or following.startswith("--"))
+        if is_list and following not in ("--help", "--help-all"):
+            raise UserError(f"{word.removeprefix('--')}: no value follows; give at least one, or leave the flag out")
         flag = word.removeprefix("--").removesuffix("=")
         empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
         require(not empty, flag, "", "is empty; give a folder, or leave the flag out")
