@@ -23,6 +23,7 @@ import numpy as np
 from rich.console import Console
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import UserError, counted, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.imports import checksums, typed_command
@@ -290,7 +291,7 @@ def take_up(config: TrainConfig, plan: Plan, folder: Path) -> None:
         return
     runs = {folder / name for name in plan.names} | {job.folder(folder) for job in jobs_of(config, plan)}
     begun = {run: configuration.read(run) for run in runs if (run / configuration.NAME).exists()}
-    source = load_environment(config).source
+    source = data_of(load_environment(config))
     for run, about in begun.items():
         require(source == about.data, "data", source, f"{run} has {about.data!r}; give the same data")
     for run, about in begun.items():

@@ -25,6 +25,7 @@ from two_machines import cluster_of_two
 import infogoal_jax
 from infogoal_jax import presets
 from infogoal_jax.cli.main import main
+from infogoal_jax.envs.environment import data_of
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.runs import table_of
 from infogoal_jax.runner import executors, jobs, progress, training
@@ -129,12 +130,15 @@ def test_a_sweep_goes_on_from_another_folder_and_where_its_data_were_moved(tmp_p
     monkeypatch.chdir(tmp_path / "elsewhere")
     onward = ["train", "--resume", "../sweep", "--no-figures", "--env.dataset", "../moved"]
     source = hand_made.environment().source
-    monkeypatch.setattr(jobs, "load_environment", lambda config: types.SimpleNamespace(source="another house"))
-    assert main(onward) == 2 and places() == {str(tmp_path / "house")}
-    assert f"data = 'another house': {first.folder(tmp_path / 'sweep')} has {source!r}" in (
-        capsys.readouterr().err.replace("../sweep", str(tmp_path / "sweep"))
+    for found in ("another house", ""), (source, "of other recordings"):
+        env = types.SimpleNamespace(source=found[0], recorded_checksum=found[1])
+        monkeypatch.setattr(jobs, "load_environment", lambda config, env=env: env)
+        assert main(onward) == 2 and places() == {str(tmp_path / "house")}
+        told = capsys.readouterr().err.replace("../sweep", str(tmp_path / "sweep"))
+        assert f"data = {data_of(env)!r}: {first.folder(tmp_path / 'sweep')} has {source!r}" in told
+    monkeypatch.setattr(
+        jobs, "load_environment", lambda config: types.SimpleNamespace(source=source, recorded_checksum="")
     )
-    monkeypatch.setattr(jobs, "load_environment", lambda config: types.SimpleNamespace(source=source))
     assert main(onward) == 0 and places() == {str(tmp_path / "moved")}
 
 
