@@ -3,8 +3,8 @@
 An effect is a mean over tasks, their goal sets and seeds of differences that are paired by goal set and seed. Its 95 %
 interval is that over seeds or that over goal sets, as in the table, whichever is wider. A claim holds where the whole
 interval lies on its side, fails where it lies on the other, and else cannot be told. A claim about Table I is looked at
-under both readings of the paper, and is decided where they agree. Nor can one that rests on fewer
-than three seeds, or on a row of which the table says that it does not count.
+under both readings of the paper, and is decided where they agree. Nothing can be told of one that rests on fewer than
+three seeds, or on a row of which the table says that it does not count.
 
 First what a finding is, and the tests of Table I: success, and how long paths are. Then those of the figures: SSE-DB on
 the first goal set of object search (Fig. 8), what beta converges to and fixed ones beside it (Figures 13 to 15), and
