@@ -32,7 +32,7 @@ from infogoal_jax import presets
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import canvas
-from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
+from infogoal_jax.report.statistics import Interval, paired_difference
 from infogoal_jax.report.summary import is_no_bottleneck
 from infogoal_paper import claims, trial_numbers, tuning
 from infogoal_paper.manifest import FETCH, RELABELLED
@@ -396,10 +396,10 @@ class Numbers:
 
     def on_shared_sets(
         self, task: str, method: str, epsilon: float, code: str = "sampled", kind: str = "test"
-    ) -> list[float]:
+    ) -> dict[tuple[int, int], float]:
         """`success` on `shared_sets`, so that means can be compared."""
         shared, found = self.shared_sets[task], self.success(task, method, epsilon, code, kind)
-        return [value for (data_set, _), value in found.items() if data_set in shared]
+        return {place: value for place, value in found.items() if place[0] in shared}
 
     def best(self, task: str, method: str) -> float:
         """The epsilon at which the method reaches the most validation goals of `shared_sets`, sampled codes."""
@@ -616,7 +616,7 @@ def kinds_of(task: str) -> tuple[str, ...]:
 
 def reached_at_best(numbers: Numbers, task: str, method: str, kind: str) -> list[float]:
     """Success of a method at its own best noise, on data sets that all methods have."""
-    return numbers.on_shared_sets(task, method, numbers.best(task, method), kind=kind)
+    return [*numbers.on_shared_sets(task, method, numbers.best(task, method), kind=kind).values()]
 
 
 def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
@@ -720,7 +720,7 @@ def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
     if not numbers.has(task, method):
         return ""
     epsilons = 0.0, SAME, numbers.best(task, method)
-    values = [numbers.on_shared_sets(task, method, epsilon, kind=kind) for epsilon in epsilons]
+    values = [[*numbers.on_shared_sets(task, method, epsilon, kind=kind).values()] for epsilon in epsilons]
     return "/".join(f"{np.mean(each):.2f}" for each in values) if all(values) else ""
 
 
@@ -869,7 +869,8 @@ def figure(rows: Sequence[Row]) -> Figure:
     """Success on test goals against epsilon, a panel a task: mean over seeds and data sets with its 95 % band; dashed:
     on mean codes."""
     numbers = Numbers(rows)
-    below = ("Lines: sampled codes, mean over seeds and data sets with its 95 % interval. Dashed: mean codes.",)
+    words = "mean over seeds and data sets with its 95 % interval, over seeds or over data sets, whichever is wider"
+    below = (f"Lines: sampled codes, {words}. Dashed: mean codes.",)
     drawn = canvas.empty_figure("Test goals reached, by the probability of a random action at test", below, (15, 3.8))
     panels = drawn.subplots(1, len(TASKS), sharey=True)
     for axes, task in zip(panels, TASKS, strict=True):
@@ -877,12 +878,12 @@ def figure(rows: Sequence[Row]) -> Figure:
             if not numbers.has(SHOWN[task], method):
                 continue
             for code, style in (("sampled", "-"), ("mean", "--")):
-                values = np.array([numbers.on_shared_sets(SHOWN[task], method, each, code) for each in EPSILONS])
-                interval = mean_interval(values.T)
+                found = [mean_by_set(numbers.on_shared_sets(SHOWN[task], method, each, code)) for each in EPSILONS]
                 label = METHODS[method] if code == "sampled" else ""
-                axes.plot(EPSILONS, interval.mean, color=colour, linestyle=style, label=label)
+                axes.plot(EPSILONS, [each.mean for each in found], color=colour, linestyle=style, label=label)
                 if code == "sampled":
-                    axes.fill_between(EPSILONS, interval.low, interval.high, color=colour, alpha=0.15, linewidth=0)
+                    band = [each.low for each in found], [each.high for each in found]
+                    axes.fill_between(EPSILONS, *band, color=colour, alpha=0.15, linewidth=0)
         axes.set_title(TITLES[task])
         axes.set_xlabel("probability of a random action")
         canvas.finish_share_axis(axes, "")
