@@ -153,6 +153,10 @@ class GoalSet:
             return self.train_mask
         return jnp.zeros_like(self.train_mask).at[self.desired].set(True)
 
+    def is_training_goal(self, goals: jax.Array) -> jax.Array:
+        """Whether these goals [...] are desired in training, bool [...]."""
+        return self.desired_mask[goals]
+
     @property
     def listed_mask(self) -> jax.Array:
         """Whether a goal is a training, validation or test goal, bool [N]."""

@@ -326,11 +326,12 @@ def load_environment(config: TrainConfig, env: Any = None):
     check_environment(config, env)
     if is_foreign(type(env.unwrapped)):
         check_contract(env)
-        check_goals(env)
     if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
     if config.desired_goals == "all" and env.goals.finite:
         env = env.with_goals(env.goals.replace(desired=env.goals.evaluated))
+    if is_foreign(type(env.unwrapped)):
+        check_goals(env)
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
     require(

@@ -14,7 +14,7 @@ from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.field_types import LARGEST_FLOAT, LARGEST_WHOLE
-from infogoal_jax.goals import GoalBox, GoalSet
+from infogoal_jax.goals import GoalBox, GoalSet, GoalSpace
 from infogoal_jax.keys import from_seed
 from infogoal_jax.replay import Trajectories
 
@@ -190,18 +190,17 @@ def check_state(env: Environment, state: Any) -> None:
 
 
 def check_goals(env: Environment) -> None:
-    """Raise `UserError` for a continuous goal space in which nothing can be learned: desired goals of training that are
-    held out or none of the space, goals that do not count as reached where they are achieved, or that always do. These
-    few goals are computed."""
-    if env.goals.finite:
-        return
+    """Raise `UserError` for a task in which nothing can be learned, or in which held-out goals are: desired goals of
+    training that are none of the space or held out, starts that are not finite; and in a continuous goal space goals
+    that do not count as reached where they are achieved, or that always do. These few goals are computed."""
     with jax.ensure_compile_time_eval():
         keys = jax.random.split(from_seed(np.uint32(0)), DRAWN)
         desired, finite = jax.jit(jax.vmap(lambda key: started(env, env.reset(key))))(keys)
-        env.goals.checked(desired, "the goal of env.reset", axes=1)
-        trained = np.asarray(jax.jit(env.goals.is_training_goal)(desired))
-        held_out = rounded(np.asarray(desired)[~trained][:1])
-        require(trained.all(), "the goal of env.reset", held_out, "is held out of training; draw it by env.goals.draw")
+        remedy = "from env.goals.desired_goals" if env.goals.finite else "by env.goals.draw"
+        check_desired(env.goals, desired, "the goal of env.reset", f"draw it {remedy}")
+        if env.recorded is not None:
+            recorded = np.asarray(env.recorded.desired_goal)[np.asarray(env.recorded.valid)]
+            check_desired(env.goals, recorded, "env.recorded.desired_goal", "give recordings for training goals")
         names = ("env.observation", "env.begin") if isinstance(env, GoalTask) else ("env.observe",)
         for name, those in zip(names, finite, strict=True):
             share = 1 - np.asarray(those).mean()
@@ -227,6 +226,15 @@ def check_goals(env: Environment) -> None:
         "True for every two goals",
         f"there is nothing to learn{radius}; {smaller}",
     )
+
+
+def check_desired(goals: GoalSpace, desired: Any, field: str, remedy: str) -> None:
+    """Raise `UserError` for desired goals of training [M, *shape] that are none of the space, or held out."""
+    desired = np.asarray(goals.checked(desired, field, axes=1))
+    trained = np.asarray(jax.jit(goals.is_training_goal)(desired))
+    held_out = desired[~trained][:1]
+    shown = [goals.names[goal] for goal in held_out] if goals.finite else rounded(held_out)
+    require(trained.all(), field, shown, f"is held out of training; {remedy}")
 
 
 def started(env: Environment, state: Any) -> tuple[jax.Array, list[jax.Array]]:

@@ -16,6 +16,7 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.data.archives import checksum
 from infogoal_jax.data.episodes import Episodes, load
+from infogoal_jax.envs.contract import check_desired
 from infogoal_jax.envs.environment import one_observation
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, renamed, require
@@ -74,7 +75,8 @@ def with_recordings(task: GoalTask, episodes: Episodes) -> GoalTask:
         fits = goals is None or goals.shape[1:] == (size,)
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
     if episodes.desired_goals is not None:
-        task.goals.checked(episodes.desired_goals, "desired_goals", 1)
+        remedy = "leave the member out: each episode then has a training goal"
+        check_desired(task.goals, episodes.desired_goals, "desired_goals", remedy)
     rows = rows_of(task, observations, achieved, episodes)
     given = [episodes.observations, episodes.actions, episodes.achieved_goals, episodes.desired_goals]
     return task.replace(recorded=rows, recorded_checksum=checksum(*(each for each in given if each is not None)))

@@ -18,6 +18,7 @@ from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
 from infogoal_jax.envs.environment import data_of
 from infogoal_jax.envs.recordings import from_recordings, with_recordings
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.replay import Trajectories, steps_left
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.memory import bytes_of
@@ -649,6 +650,15 @@ def test_what_is_wrong_with_held_out_is_said_of_it(held_out, said):
     """`use_of` was named, the argument of the goal space that is made of it."""
     with pytest.raises(UserError, match=said):
         from_recordings(of_arrays(recorded(observations=SIDE, actions=SIDE)), held_out=held_out)
+
+
+def test_recordings_for_goals_that_are_held_out_are_refused():
+    places, task = abs(SIDE), maze()
+    desired = of_arrays(recorded(observations=places, actions=SIDE, achieved_goals=places, desired_goals=places))
+    assert with_recordings(task, desired).recorded is not None
+    goals = GoalBox.of(task.goals.low, task.goals.high, use_of=lambda goal: goal[0] < 0.5)
+    with pytest.raises(UserError, match=r"^desired_goals = .*: is held out of training; leave the member out"):
+        with_recordings(task.replace(goals=goals), desired)
 
 
 def spotted(goals):

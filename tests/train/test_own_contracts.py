@@ -28,7 +28,7 @@ from infogoal_jax import (
     presets,
     relabelling,
 )
-from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.contract import check_contract, check_goals
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTask
@@ -114,6 +114,11 @@ def wrong_leaf(name, value):
     return lambda self, *arguments: type(ENV).step(self, *arguments).replace(**{name: value})
 
 
+def reset_for(goal):
+    """A reset whose desired goal is always this one."""
+    return lambda self, key: type(ENV).reset(self, key).replace(desired_goal=jnp.int32(goal))
+
+
 BROKEN = {
     "step": (dict(step=wrong_leaf("time", jnp.zeros(()))), r"state of env.step: leaf .time is float32 \[\], and int32"),
     "step of one more": (dict(step=wrong_leaf("node", jnp.zeros((1,), jnp.int32))), r"leaf .node is int32 \[1\]"),
@@ -124,6 +129,15 @@ BROKEN = {
     ),
     "step of fewer arguments": (dict(step=lambda self, state: state), "env.step: raised TypeError"),
     "reset": (dict(reset=lambda self, key: (key,)), "the state of env.reset = 'tuple': has no field desired_goal"),
+    "reset for a test goal": (
+        dict(reset=reset_for(5)),
+        r"the goal of env.reset = \['test_1'\]: is held out of training; draw it from env.goals.desired_goals",
+    ),
+    "reset for no goal": (dict(reset=reset_for(-1)), "the goal of env.reset = .*: the task has the goals 0 to 7"),
+    "starts that are not finite": (
+        dict(render=lambda self, seen: jnp.full((*jnp.shape(seen), 3), jnp.nan, jnp.float32), draw=Environment.draw),
+        "env.observe = 'not finite at 100% of the starts': return finite numbers",
+    ),
     "reset_to": (dict(reset_to=lambda self, key, goal: 0), "the state of env.reset = .*has no field desired_goal"),
     "observe": (dict(observe=lambda self, state: jnp.zeros(3)), r"env.observe: is float32 \[3\]; give int32 \[\]"),
     "observe nothing": (dict(observe=lambda self, state: ()), "env.observe = .*return an array"),
@@ -172,6 +186,25 @@ def test_an_environment_that_breaks_the_contract_is_refused(case):
 
 def test_an_environment_that_keeps_it_is_trained():
     trace(make_train(BARE, changed()))
+
+
+def test_test_goals_are_desired_where_the_configuration_says_so():
+    """As a reading of the paper has it."""
+    config = dataclasses.replace(BARE, desired_goals="all")
+    assert make_train(config, changed(reset=reset_for(5))).env.goals.desired_mask.all()
+
+
+def test_recordings_for_goals_that_are_held_out_are_refused():
+    """Of a finite set: their codes would be looked up among those of training goals. The rows that are no transitions
+    may have any."""
+    env = hand_made_frames.qa()
+    check_goals(env)
+    rows, held_out = env.recorded, int(np.flatnonzero(env.goals.test_mask)[0])
+    goals = jnp.where(rows.valid, rows.desired_goal, held_out)
+    check_goals(env.replace(recorded=rows.replace(desired_goal=goals)))
+    of_test = rows.replace(desired_goal=jnp.full_like(goals, held_out))
+    with pytest.raises(UserError, match=r"^env.recorded.desired_goal = \['.*'\]: is held out of training; give"):
+        check_goals(env.replace(recorded=of_test))
 
 
 class InALine(GoalTask):
