@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import agents, checks, envs, exploration, learners, relabelling
-from infogoal_jax.agents.agent import AgentTraits
+from infogoal_jax.agents import traits_of
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
@@ -90,12 +90,6 @@ class Refusal(NamedTuple):
     value: Any
     reason: str
     remedy: str
-
-
-def traits_of(agent: Any) -> AgentTraits:
-    """What the agent of this configuration declares."""
-    declared = agents.registry.entry_of(agent).traits
-    return AgentTraits() if declared is None else declared(agent)
 
 
 def steers(agent: Any) -> bool:
@@ -222,21 +216,29 @@ def refusals_of_episodes_that_go_on(config: TrainConfig) -> Iterator[Refusal]:
 
 
 def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refusal]:
-    """What speaks against an agent that learns which goals were achieved."""
-    given, share = relabelling.registry.name_of(config.relabelling), getattr(config.relabelling, "future_share", None)
-    remedy = "give --relabelling her with --relabelling.future-share 1"
-    if given != "her":
-        yield Refusal("relabelling", given, f"agent {agent} learns from goals that were achieved later alone", remedy)
-    elif share != 1.0:
-        yield Refusal(
-            "relabelling.future_share", share, f"agent {agent} learns from goals that were achieved later alone", remedy
-        )
+    """What speaks against an agent that learns which goals were achieved. `OfflineCRLConfig.check` has the shares of
+    relabelling `mixed`."""
+    own, relabelled = traits_of(config.agent), relabelling.registry.name_of(config.relabelling)
+    reason = f"agent {agent} learns from goals that were achieved later alone"
+    if relabelled == "her":
+        her = config.relabelling
+        for field, fits, remedy in (
+            ("future_share", her.future_share == 1.0, "give --relabelling her with --relabelling.future-share 1"),
+            ("strategy", her.strategy != "prefix", "give soon or future"),
+            ("skip_reached", not her.skip_reached, "give False"),
+        ):
+            if not fits:
+                yield Refusal(f"relabelling.{field}", getattr(her, field), reason, remedy)
+    elif not own.costs:
+        yield Refusal("relabelling", relabelled, reason, "give --relabelling her with --relabelling.future-share 1")
     if make_learner(config).condition is not None:
+        declared = {name: traits_of(entry.config()) for name, entry in agents.registry.items()}
+        others = [name for name, other in declared.items() if own._replace(achieved_goals=False) == other]
         yield Refusal(
             "learner",
             learners.registry.name_of(config.learner),
             f"agent {agent} compares a state with every goal of the batch, and its code of a goal depends on the state",
-            "give a code of the goal alone (--learner.no-state-conditioned), or agent td3 or sac",
+            f"give a code of the goal alone (--learner.no-state-conditioned), or agent {' or '.join(others)}",
         )
 
 

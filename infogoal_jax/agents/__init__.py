@@ -1,6 +1,9 @@
 """Reinforcement-learning agents, one file each. A new one is registered in `registry`."""
 
+from typing import Any
+
 from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hiql, hrac, offline, offline_crl, qrl, sac, td3
+from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.registry import Entry, Registry
 
 registry = Registry(
@@ -19,9 +22,16 @@ registry = Registry(
             offline_crl.make,
             offline_crl.OfflineCRLHyperparameters,
             offline_crl.OF_RELABELLING,
+            offline_crl.traits,
         ),
         "qrl": offline.entry(qrl.QRLConfig, qrl.make, qrl.QRLHyperparameters, qrl.OF_RELABELLING),
         "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters, dqn.traits),
     },
 )
 """`make(config, env)` makes an agent for an environment: it reads the number of actions, or the space of subgoals."""
+
+
+def traits_of(agent: Any) -> AgentTraits:
+    """What the agent of this configuration declares."""
+    declared = registry.entry_of(agent).traits
+    return AgentTraits() if declared is None else declared(agent)

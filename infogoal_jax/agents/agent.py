@@ -26,7 +26,7 @@ class AgentTraits(NamedTuple):
     """Whether its loss learns from all goals at once, `Agent.all_goals`."""
     achieved_goals: bool = False
     """Whether it learns from goals that were achieved later alone: each transition has to carry one, and what others
-    carry counts as not achieved."""
+    carry counts as not achieved. Only transitions after which a known goal was achieved are drawn then."""
     costs: bool = False
     """Whether it learns from costs, -1 a step until the goal, and its actor from goals of its own: of relabelling
     `mixed`."""

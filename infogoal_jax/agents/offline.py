@@ -62,9 +62,15 @@ def agent(init: Callable, act: Callable, value: Callable, loss: Callable) -> Age
     return Agent(init, act, value, loss, observe=lambda state, rows: state, num_steps=1)
 
 
-def entry(config: type, make: Callable, hyper: type, of_relabelling: Mapping = MappingProxyType({})) -> Entry:
+def entry(
+    config: type,
+    make: Callable,
+    hyper: type,
+    of_relabelling: Mapping = MappingProxyType({}),
+    declared: Callable[[Any], AgentTraits] = traits,
+) -> Entry:
     """What the registry of agents holds of an offline one."""
-    return Entry(config, make, hyper, traits, of_relabelling=of_relabelling, relabelling="mixed")
+    return Entry(config, make, hyper, declared, of_relabelling=of_relabelling, relabelling="mixed")
 
 
 def make_actor(config: OfflineConfig, size: int) -> networks.GeluMLP:

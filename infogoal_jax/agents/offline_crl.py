@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import crl, offline, td3
-from infogoal_jax.agents.agent import Agent, AgentBatch
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Size
 
@@ -50,6 +50,11 @@ def binary_loss(logits: jax.Array) -> jax.Array:
     Eq. 4)."""
     own = jnp.eye(logits.shape[-1], dtype=jnp.float32)
     return (jax.nn.softplus(logits) - own * logits).mean()
+
+
+def traits(config: OfflineCRLConfig) -> AgentTraits:
+    """As of the other offline agents; it learns from goals that were achieved."""
+    return offline.traits(config)._replace(achieved_goals=True)
 
 
 def make(config: OfflineCRLConfig, env) -> Agent:

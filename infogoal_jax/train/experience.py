@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
+from infogoal_jax.agents import traits_of
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import is_goal, no_goals_like, select
 from infogoal_jax.learners.encoding import encode_all
@@ -28,7 +29,8 @@ class Experience:
     buffer: Trajectories
     """The replay buffer, or the recorded trajectories."""
     decision_count: jax.Array
-    """int32 [R * T], running count of the agent's decisions, which turns draws into binary searches."""
+    """int32 [R * T], running count of the agent's decisions, which turns draws into binary searches; of an agent that
+    learns from achieved goals (`AgentTraits`), those that lead to one."""
     achieved: jax.Array
     """bool [R, T + 1], steps that achieve a known goal."""
     achieved_count: jax.Array
@@ -136,6 +138,18 @@ def usable_goals(setup: Setup, goals: jax.Array) -> jax.Array:
     return select(usable, goals, no_goals_like(goals))
 
 
+def leading_to_goals(decisions: jax.Array, achieved_count: jax.Array, steps_left: jax.Array) -> jax.Array:
+    """Those of the decisions bool [R, T] after which their episode achieves a known goal; all of them while there is
+    none.
+
+    achieved_count: int32 [R * (T + 1)], running count of the places that achieve one. steps_left: int32 [R, T].
+    """
+    count = achieved_count.reshape(decisions.shape[0], -1)
+    here = jnp.arange(decisions.shape[1], dtype=jnp.int32)[None]
+    leading = decisions & (jnp.take_along_axis(count, here + steps_left, axis=1) > count[:, :-1])
+    return jnp.where(leading.any(), leading, decisions)
+
+
 def external_reward(env: Environment, transitions: Transitions) -> jax.Array:
     """The environment's reward for each step, float32 [B, n] (Eq. 5): 1 for reaching the desired goal."""
     return env.reached(transitions.records, transitions.desired_goal[:, None]).astype(jnp.float32)
@@ -167,9 +181,12 @@ def make_experience(setup: Setup, state: TrainState, number: jax.Array) -> tuple
         learner_table = None if learner_relabelling is None else learner_relabelling.prepare(context)
     if parts.explorer is not None:
         bonus, state = explore(setup, state, buffer, written)
+    decisions = buffer.valid & buffer.decided
+    if traits_of(parts.config.agent).achieved_goals:
+        decisions = leading_to_goals(decisions, achieved_count, replay.steps_left(buffer.valid))
     return Experience(
         buffer=buffer,
-        decision_count=replay.running_count(buffer.valid & buffer.decided),
+        decision_count=replay.running_count(decisions),
         achieved=achieved,
         achieved_count=achieved_count,
         known=known,

@@ -8,13 +8,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hand_made import ROWS, STEPS, later_goals, random_rows
+from hand_made_points import config as points_config
+from hand_made_points import points
 from scipy.special import logsumexp
 from vector_agents import B, agent_of, joined, mlp, random_batch, started, success_on_the_line
 
-from infogoal_jax import networks, presets
+from infogoal_jax import make_train, networks, presets, replay
 from infogoal_jax.agents import crl
+from infogoal_jax.learners.none import NoneConfig
 from infogoal_jax.loading import reasons_against, remarks
 from infogoal_jax.relabelling.her import HERConfig
+from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.experience import leading_to_goals, make_experience, update_statistics
+from infogoal_jax.train.update import sample
 
 contrastive_loss = jax.jit(crl.contrastive_loss)
 
@@ -103,6 +110,59 @@ def test_goals_that_were_achieved_are_asked_for():
     assert fields(method="her") == fields(method="cogoal", relabelling="her") == set()
     assert fields(method="none") == fields(method="cher") == {"relabelling"}
     assert fields(method="her", relabelling=HERConfig(future_share=0.8)) == {"relabelling.future_share"}
+    in_prefix, skipping = HERConfig(1.0, strategy="prefix"), HERConfig(1.0, skip_reached=True)
+    assert fields(method="her", relabelling=in_prefix) == {"relabelling.strategy"}
+    assert fields(method="her", relabelling=skipping) == {"relabelling.skip_reached"}
     assert fields(method="dgrl", relabelling="her") <= {"learner"}
     (remark,) = remarks(presets.load("fetch_push", "infogoal", agent="crl", relabelling="her"))
     assert "no reward" in remark
+
+
+def test_a_code_that_depends_on_the_state_is_refused():
+    """It would tell which state of the batch a goal belongs to."""
+    for agent, others in (("crl", "td3 or sac"), ("offline_crl", "gcivl or gciql or hiql or qrl")):
+        parts = {"relabelling": "her"} if agent == "crl" else {}
+        (refusal,) = reasons_against(presets.load("point_maze", "gcb", agent=agent, **parts))
+        assert refusal.field == "learner" and refusal.remedy.endswith(others)
+
+
+def test_a_decision_counts_where_its_episode_achieves_a_known_goal_later():
+    rows = random_rows()
+    achieved_count = replay.running_count((rows.record >= 0).any(-1))
+    decisions = rows.valid & (np.arange(STEPS) % 3 > 0)
+    leading = leading_to_goals(decisions, achieved_count, replay.steps_left(rows.valid))
+    found = [[bool(later_goals(rows, row, step)) for step in range(STEPS)] for row in range(ROWS)]
+    assert np.array_equal(leading, decisions & np.array(found)) and leading.sum() < decisions.sum()
+    nothing = leading_to_goals(decisions, jnp.zeros_like(achieved_count), replay.steps_left(rows.valid))
+    assert np.array_equal(nothing, decisions)
+
+
+def test_every_transition_carries_a_goal_that_was_achieved_later_out_of_a_list():
+    """Of positions of a grid, which most states lie outside of."""
+    env, generator = points(), np.random.default_rng(0)
+    agent, learner = crl.CRLConfig(hidden=(8,)), NoneConfig(hidden=(8,))
+    parts = {"agent": agent, "learner": learner, "hyper": presets.default_hyperparameters(learner, agent)}
+    config = points_config("none", relabelling=HERConfig(1.0, strategy="soon"), **parts)
+    train, (count, steps) = make_train(config, env), (config.num_envs, config.rollout_steps)
+    observation = np.zeros((count, steps + 1, 10), np.float32)
+    observation[..., :3] = env.positions[generator.integers(0, 125, observation.shape[:2])]
+    observation[..., :3] += generator.random(observation.shape[:2])[..., None] < 0.8  # By a metre.
+    observation[..., 3] = np.arange(observation[..., 3].size).reshape(observation.shape[:2])  # To know it again.
+    valid = generator.random((count, steps)) < 0.8
+    desired = env.goals.training_goals[generator.integers(0, 4, valid.shape)]
+    none = np.zeros(valid.shape, bool)
+    action = np.zeros((*valid.shape, 4), np.float32)
+    record = observation[..., :3]
+    rows = Trajectories(observation, record, action, desired, valid, none, none, valid)
+
+    @jax.jit
+    def drawn(key, env, rows):
+        state = train.initial(key, train.config.hyper, env)
+        state = update_statistics(train.setup(env=env), state.replace(buffer=replay.add(state.buffer, rows, 0)), rows)
+        return sample(train.setup(env=env), make_experience(train.setup(env=env), state, 0)[0], key).transitions
+
+    batch, left = jax.device_get((drawn(jax.random.key(0), env, rows), replay.steps_left(jnp.asarray(valid))))
+    achieved = np.asarray(env.goals_of(record))
+    for seen, goal in zip(batch.observation, batch.desired_goal, strict=True):
+        row, step = divmod(int(seen[3]), steps + 1)
+        assert goal in achieved[row, step + 1 : step + 1 + left[row, step]]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, envs, jit, make_train, presets
+from infogoal_jax.agents.offline_crl import OfflineCRLConfig
 from infogoal_jax.bridges.minari import episodes_of
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
@@ -707,6 +708,28 @@ def test_an_update_encodes_each_goal_once():
     shown.clear()
     jax.eval_shape(train.epochs, state, jnp.zeros(1, jnp.int32), train.config.hyper, train.env)
     assert shown == [(4,)] * 5
+
+
+def test_what_contrastive_rl_takes_for_achieved_was_achieved_where_goals_are_held_out():
+    """Each episode goes ahead by 1 a step; of its numbers every fifth is known, and none after the last of them."""
+    line = np.arange(60, dtype=np.float32)
+    seen = np.stack([line, line], 1)
+    task = from_recordings(
+        Episodes(seen, seen / 60, line % 20 == 19), held_out=lambda goal: jnp.abs(goal[0] % 5 - 1) > 0.45
+    )
+    presets.register("mostly_held_out", task, presets.OGBENCH)
+    agent = OfflineCRLConfig(hidden=(8,), size=8)
+    config = presets.load("mostly_held_out", "none", agent=agent, known_goals="held_out", batch_size=64)
+    train = make_train(config, task)
+
+    @jax.jit
+    def drawn(key, env):
+        experience, _ = make_experience(train.setup(env=env), train.initial(key, train.config.hyper, env), 0)
+        return sample(train.setup(env=env), experience, key)
+
+    batch = jax.device_get(drawn(jax.random.key(0), train.env))
+    goals, here = batch.transitions.desired_goal[:, 0], batch.transitions.observation[:, 0]
+    assert (goals % 5 == 1).all() and (goals > here).all() and (goals // 20 == here // 20).all()
 
 
 @pytest.mark.long
