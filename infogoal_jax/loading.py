@@ -195,7 +195,7 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             "learner",
             name,
             "its code of a goal depends on the state, so that there is no code for all states at once",
-            "give a code of the goal alone (--learner.no-state-conditioned), or --agent.no-all-goals",
+            f"{of_goal_alone(config)}, or --agent.no-all-goals",
         )
     if exploration.registry.name_of(config.explorer) != "none":
         yield Refusal(
@@ -204,6 +204,13 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             "its bonus does not reward reaching one goal rather than another",
             "give none, or --agent.no-all-goals",
         )
+
+
+def of_goal_alone(config: TrainConfig) -> str:
+    """How a learner whose code of a goal depends on the state is told to do without."""
+    flags = {"policy_input": "policy-input goal", "state_conditioned": "no-state-conditioned"}
+    told = [f" (--learner.{flag})" for field, flag in flags.items() if hasattr(config.learner, field)]
+    return "give a code of the goal alone" + "".join(told)
 
 
 def refusals_of_episodes_that_go_on(config: TrainConfig) -> Iterator[Refusal]:
@@ -238,7 +245,7 @@ def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refu
             "learner",
             learners.registry.name_of(config.learner),
             f"agent {agent} compares a state with every goal of the batch, and its code of a goal depends on the state",
-            f"give a code of the goal alone (--learner.no-state-conditioned), or agent {' or '.join(others)}",
+            f"{of_goal_alone(config)}, or agent {' or '.join(others)}",
         )
 
 

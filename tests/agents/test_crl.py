@@ -123,7 +123,9 @@ def test_a_code_that_depends_on_the_state_is_refused():
     for agent, others in (("crl", "td3 or sac"), ("offline_crl", "gcivl or gciql or hiql or qrl")):
         parts = {"relabelling": "her"} if agent == "crl" else {}
         (refusal,) = reasons_against(presets.load("point_maze", "gcb", agent=agent, **parts))
-        assert refusal.field == "learner" and refusal.remedy.endswith(others)
+        assert refusal.field == "learner" and refusal.remedy.endswith(
+            f"(--learner.policy-input goal), or agent {others}"
+        )
 
 
 def test_a_decision_counts_where_its_episode_achieves_a_known_goal_later():
