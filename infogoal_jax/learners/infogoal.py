@@ -189,7 +189,10 @@ def make(config: InfoGoalConfig) -> Learner:
             right = log_score(params, anchor, positive)[:, None] > log_score(params, contrast, negative)
             metrics["mean_code_accuracy"] = weighted_mean(right, weights)
             threshold = metrics["mean_code_accuracy"] - hyper.beta_margin
-        state = state.replace(beta=next_beta(config, state.beta, accuracy, threshold, hyper))
+        beta = next_beta(config, state.beta, accuracy, threshold, hyper)
+        if config.beta_rule != "fixed":
+            beta = jnp.where(weights.sum() > 0, beta, state.beta)  # Without a pair there is no accuracy.
+        state = state.replace(beta=beta)
         total = infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin
         if classifier is not None:
             metrics["classifier_loss"] = classifier_loss(classifier, params, batch)
@@ -207,7 +210,8 @@ def make(config: InfoGoalConfig) -> Learner:
         found = jnp.isfinite(nearest)
         farthest = jnp.where(found & (mask > 0), nearest, 0.0).max()
         distance = jax.lax.stop_gradient(jnp.where(found, nearest, farthest))
-        scale = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
+        moved = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
+        scale = jnp.where((found & (mask > 0)).any(), moved, state.scale)
         return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
 
     sample_spec = SampleSpec(

@@ -111,20 +111,17 @@ def test_fixed_beta_ramps_to_its_value_and_stays():
     np.testing.assert_allclose(betas, [1e-5, 2e-5, 3e-5, 3e-5, 3e-5], rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("rule", "noise", "grows"), [("relative", 1e-3, True), ("relative", 30.0, False), ("linear", 1e-3, False)]
-)
-def test_relative_threshold_asks_what_the_noise_costs(rule, noise, grows):
-    """Half of the pairs cannot be told apart by their mean codes. The paper's threshold is then out of reach; relative
-    to the mean codes, beta grows for as long as noise costs nothing."""
+def after_pairs(rule: str, noise: float, weight: float):
+    """Metrics and state after a loss of 64 pairs of this weight under a beta of 0.5. Half of the positives lie nearer
+    than their negative."""
     learner = infogoal.make(infogoal.InfoGoalConfig(beta_rule=rule, latent_size=1))
     codes = GoalCode(jnp.array([[0.0], [1.0], [2.0]]), jnp.full((3, 1), noise))
     pairs = GoalPairs(
         jnp.zeros(64, int),
-        jnp.tile(jnp.array([1, 2]), 32),  # The second positive lies beyond the negative.
+        jnp.tile(jnp.array([1, 2]), 32),
         jnp.zeros((64, 1), int),
         jnp.tile(jnp.array([[2], [1]]), (32, 1)),
-        jnp.ones(64),
+        jnp.full(64, weight),
         jnp.ones((64, 1)),
     )
     state, hyper = infogoal.InfoGoalState(jnp.asarray(0.5), jnp.ones(())), InfoGoalHyperparameters()
@@ -133,10 +130,25 @@ def test_relative_threshold_asks_what_the_noise_costs(rule, noise, grows):
     def loss(state, codes, pairs, hyper, key):
         return learner.loss({}, state, hand_made.learner_batch(codes.__getitem__, pairs=pairs), hyper, key)
 
-    _, metrics, after = loss(state, codes, pairs, hyper, jax.random.key(0))
+    return loss(state, codes, pairs, hyper, jax.random.key(0))[1:]
+
+
+@pytest.mark.parametrize(
+    ("rule", "noise", "grows"), [("relative", 1e-3, True), ("relative", 30.0, False), ("linear", 1e-3, False)]
+)
+def test_relative_threshold_asks_what_the_noise_costs(rule, noise, grows):
+    """Half of the pairs cannot be told apart by their mean codes. The paper's threshold is then out of reach; relative
+    to the mean codes, beta grows for as long as noise costs nothing."""
+    metrics, after = after_pairs(rule, noise, 1.0)
     assert (after.beta > 0.5) == grows
     if rule == "relative":
         assert metrics["mean_code_accuracy"] == 0.5
+
+
+@pytest.mark.parametrize(("rule", "expected"), [("linear", 0.5), ("sign", 0.5), ("relative", 0.5), ("fixed", 0.01)])
+def test_beta_stays_where_no_pair_was_found(rule, expected):
+    """There is no accuracy then, neither of samples nor of means. A ramp goes on, or has ended."""
+    assert after_pairs(rule, 1e-3, 0.0)[1].beta == np.float32(expected)
 
 
 def test_intrinsic_reward_is_never_positive_and_zero_at_the_goal():
@@ -161,6 +173,17 @@ def test_steps_that_were_not_taken_count_for_nothing_in_the_intrinsic_reward():
     reward, after = jax.jit(lambda state: learner.intrinsic_reward(state, codes.__getitem__, seen))(state)
     np.testing.assert_allclose(reward[0, :2], [-1.0, -1.0], rtol=1e-5)
     np.testing.assert_allclose(after.scale, 1.0, rtol=1e-5)
+
+
+def test_a_batch_that_achieves_nothing_tells_nothing_of_the_scale_of_distances():
+    """A mean of 0 would make the first distances that there are large rewards."""
+    learner = infogoal.make(infogoal.InfoGoalConfig(latent_size=1))
+    state = infogoal.InfoGoalState(beta=jnp.zeros(()), scale=jnp.full((), 0.7))
+    codes = GoalCode(jnp.array([[0.0], [50.0]]), jnp.ones((2, 1)))
+    achieved, mask = jnp.asarray([[[-1], [-1], [1]]]), jnp.asarray([[1.0, 1.0, 0.0]])
+    seen = hand_made.visited(0, achieved, mask)
+    reward, after = jax.jit(lambda state: learner.intrinsic_reward(state, codes.__getitem__, seen))(state)
+    assert after.scale == state.scale and (reward[0, :2] == 0).all()
 
 
 def test_intrinsic_reward_does_not_train_the_encoder():
