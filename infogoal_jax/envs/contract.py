@@ -195,7 +195,7 @@ def check_goals(env: Environment) -> None:
     that do not count as reached where they are achieved, or that always do. These few goals are computed."""
     with jax.ensure_compile_time_eval():
         keys = jax.random.split(from_seed(np.uint32(0)), DRAWN)
-        desired, finite = jax.jit(jax.vmap(lambda key: started(env, env.reset(key))))(keys)
+        desired, cells, finite = jax.jit(jax.vmap(lambda key: started(env, env.reset(key))))(keys)
         remedy = "from env.goals.desired_goals" if env.goals.finite else "by env.goals.draw"
         check_desired(env.goals, desired, "the goal of env.reset", f"draw it {remedy}")
         if env.recorded is not None:
@@ -205,6 +205,8 @@ def check_goals(env: Environment) -> None:
         for name, those in zip(names, finite, strict=True):
             share = 1 - np.asarray(those).mean()
             require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
+        outside = np.asarray(cells)[(cells < 0) | (cells >= env.num_cells)][:1].tolist()
+        require(not outside, "env.cell_of", outside, f"give cells from 0 to below env.num_cells = {env.num_cells}")
         if type(env).goals_of is not Environment.goals_of:
             return  # What achieves a goal is known to the task alone.
         goals = env.goals.evaluated
@@ -237,10 +239,11 @@ def check_desired(goals: GoalSpace, desired: Any, field: str, remedy: str) -> No
     require(trained.all(), field, shown, f"is held out of training; {remedy}")
 
 
-def started(env: Environment, state: Any) -> tuple[jax.Array, list[jax.Array]]:
-    """The desired goal of an episode that begins, and whether what is seen of it is finite, and its world."""
-    seen = jnp.isfinite(env.render(env.observe(state))).all()
-    return state.desired_goal, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
+def started(env: Environment, state: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
+    """The desired goal of an episode that begins, the cell of what it achieves then, and whether what is seen of it is
+    finite, and its world."""
+    seen, cell = jnp.isfinite(env.render(env.observe(state))).all(), env.cell_of(env.achieved(state))
+    return state.desired_goal, cell, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
 
 
 def rounded(goals: np.ndarray) -> list:

@@ -200,9 +200,10 @@ class GoalTask(Environment):
 
     @property
     def num_cells(self) -> int:
-        """Cells that the goal space is divided into."""
-        return self.goals.num_cells
+        """Cells that the goal space is divided into, and a last one for what achieves no goal."""
+        return self.goals.num_cells + 1
 
     def cell_of(self, record: jax.Array) -> jax.Array:
         """The cell of each record [..., D], int32 [...]; one outside of the goal space lies in the nearest."""
-        return self.goals.cell_of(record)
+        cell = self.goals.cell_of(record)
+        return jnp.where(cell < 0, self.goals.num_cells, cell)

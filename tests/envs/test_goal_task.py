@@ -256,6 +256,13 @@ def test_steps_to_numbers_that_are_not_finite_are_counted():
     assert np.isfinite(rows.observation).all()
 
 
+def test_what_achieves_no_goal_has_a_cell_of_its_own():
+    """As the last corner of the goal space has, whose visits it would share."""
+    cells = np.asarray(Square(GOALS).cell_of(jnp.array([[0.0, 0.0], [2.0, 2.0], [9.0, 9.0], [jnp.nan, 0.0]])))
+    assert cells.tolist() == [0, GOALS.num_cells - 1, GOALS.num_cells - 1, GOALS.num_cells]
+    assert Square(GOALS).num_cells == GOALS.num_cells + 1
+
+
 @pytest.mark.parametrize("broken, diverged", [("observation", True), ("achieved_goal", False)])
 def test_a_step_to_an_observation_that_is_not_finite_is_undone(broken, diverged):
     """A NaN among the goals that are achieved is none, and goes on."""

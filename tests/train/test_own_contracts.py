@@ -150,6 +150,10 @@ BROKEN = {
     "goals_of": (dict(goals_of=lambda self, record: record), r"env.goals_of: is int32 \[\]; give int32 \[K\]"),
     "goals_of floats": (dict(goals_of=lambda self, record: record[..., None] * 1.0), "env.goals_of: is float32"),
     "cell_of": (dict(cell_of=lambda self, record: record > 0), r"env.cell_of: is bool \[\]; give int32"),
+    "cell_of without cells": (
+        dict(num_cells=1),
+        r"env.cell_of = \[\d+\]: give cells from 0 to below env.num_cells = 1",
+    ),
     "action_mask": (dict(action_mask=lambda self, seen: jnp.ones(6)), r"env.action_mask: is float32 \[6\]; give bool"),
     "decides": (dict(decides=lambda self, state: 1), r"env.decides: is int32 \[\]; give bool"),
     "action_size": (dict(action_size=True), "env.action_size = True: give a whole number from 1"),
