@@ -22,7 +22,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
 from infogoal_jax.envs.environment import Traits
-from infogoal_jax.errors import require
+from infogoal_jax.errors import counted, require
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.runs import low_level as low_levels
@@ -130,6 +130,8 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         yield from refusals_of_costs(agent, relabelled, config)
     if traits_of(config.agent).achieved_goals:
         yield from refusals_of_achieved_goals(agent, config)
+    if not traits.recorded:
+        yield from refusals_of_buffer(config)
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, config.agent, traits)
@@ -257,6 +259,18 @@ def refusals_of_costs(agent: str, relabelled: str, config: TrainConfig) -> Itera
         fitting = [name for name, entry in agents.registry.items() if traits_of(entry.config()).costs]
         reason, remedy = f"agent {agent} learns from rewards at the goal", f"give her, or agent {' or '.join(fitting)}"
     yield Refusal("relabelling", relabelled, reason, remedy)
+
+
+def refusals_of_buffer(config: TrainConfig) -> Iterator[Refusal]:
+    """What speaks against a replay buffer that may be without a decision: the step that resets an environment is no
+    transition, and a subgoal holds for an interval."""
+    kept, asked = config.buffer_epochs * config.rollout_steps, 1 + getattr(config.agent, "interval", 1)
+    if kept < asked:
+        epochs = -(-asked // config.rollout_steps)
+        reason = f"holds {counted(kept, 'step')} of each environment, which may pass without a decision of the agent"
+        yield Refusal(
+            "buffer_steps", config.buffer_steps, reason, f"give {epochs * config.num_envs * config.rollout_steps}"
+        )
 
 
 def refusals_of_explorer(explorer: str, agent: Any, traits: Traits) -> Iterator[Refusal]:

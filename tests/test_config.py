@@ -7,6 +7,7 @@ import typing
 from typing import Literal
 
 import hand_made
+import hand_made_points
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,6 +135,20 @@ def without_training_goals():
         (lambda: dataclasses.replace(CONFIG, num_envs=True), "num_envs = True: expected int, got bool"),
         (lambda: dataclasses.replace(CONFIG, batch_size=10**20), "batch_size = 1000.*at most 2147483647"),
         (lambda: dataclasses.replace(CONFIG, buffer_steps=2**31 - 1), "buffer_steps = .*places.*at most 2147483647"),
+        (lambda: hand_made.config("gcb", batch_size=1), "batch_size = 1: learner gcb compares transitions .*give 2"),
+        (
+            lambda: presets.load("point_maze", agent="crl", relabelling="her", batch_size=1),
+            "batch_size = 1: goals of the other transitions are the contrast; give 2",
+        ),
+        (lambda: presets.load("point_maze", agent="offline_crl", batch_size=1), "batch_size = 1: goals of the other"),
+        (
+            lambda: make_train(hand_made.config("none", num_envs=1, rollout_steps=1, buffer_steps=1)),
+            "buffer_steps = 1: holds 1 step of each environment, which may pass without a decision.*: give 2$",
+        ),
+        (
+            lambda: make_train(hand_made_points.config("none", num_envs=2, rollout_steps=3, buffer_steps=6)),
+            "buffer_steps = 6: holds 3 steps of each environment.*: give 12$",
+        ),
         (lambda: dataclasses.replace(CONFIG, test_corruption=math.nan), "test_corruption = nan"),
         (lambda: dataclasses.replace(CONFIG, learner="infogoal"), "learner = 'infogoal': give a configuration"),
         (lambda: dataclasses.replace(CONFIG, hyper={"discount": 0.9}), "hyper = {'discount': 0.9}: give a record"),

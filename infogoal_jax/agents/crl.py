@@ -9,7 +9,7 @@ Shapes: B transitions, F features of a state, d numbers of a goal code, A number
 """
 
 import dataclasses
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import flax.struct
 import jax
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.agents import sac, td3
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.errors import require
 from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
@@ -43,6 +44,16 @@ class CRLConfig:
     def num_steps(self) -> int:
         """Steps of a transition: the representation is of a state and the action there."""
         return 1
+
+    def check(self, config) -> None:
+        """Raise `UserError` for batches of one transition."""
+        check_batch(config)
+
+
+def check_batch(config: Any) -> None:
+    """Raise `UserError` for batches without a goal of another transition."""
+    remedy = "goals of the other transitions are the contrast; give 2 or more"
+    require(config.batch_size > 1, "batch_size", config.batch_size, remedy)
 
 
 @flax.struct.dataclass

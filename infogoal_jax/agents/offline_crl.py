@@ -31,7 +31,8 @@ class OfflineCRLConfig(offline.OfflineConfig):
     """Size D of the representations."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for goals that were not all achieved later."""
+        """Raise `UserError` for goals that were not all achieved later, and for batches of one transition."""
+        crl.check_batch(config)
         share = getattr(config.relabelling, "current_share", 0.0), getattr(config.relabelling, "future_share", 1.0)
         remedy = "agent offline_crl learns from goals that were achieved later alone; give future_share 1"
         require(share == (0.0, 1.0), "relabelling.future_share", share[1], remedy)

@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
+from infogoal_jax.errors import require
 from infogoal_jax.field_types import Count, Share, Sizes, Within
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
@@ -49,6 +50,11 @@ class GCBConfig(GoalEncoderConfig):
     """Subtract phi(g, g) from the target of psi, as in the authors' code; for tasks whose goals are observations."""
     policy_input: Literal["difference", "goal"] = "difference"
     """Input of the policy. `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for batches of one transition."""
+        remedy = "learner gcb compares transitions of a batch; give 2 or more"
+        require(config.batch_size > 1, "batch_size", config.batch_size, remedy)
 
 
 class PairedEncoder(nn.Module):

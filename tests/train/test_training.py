@@ -211,6 +211,17 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()
 
 
+@pytest.mark.long
+def test_the_smallest_buffer_always_holds_a_transition():
+    """Of two steps, of which every second may reset the environment: nothing is divided by no transition."""
+    short = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 1, "evaluation_starts": 1}
+    config = hand_made.config("none", num_envs=1, rollout_steps=1, buffer_steps=2, batch_size=1, **short)
+    train = make_train(config, hand_made.environment(episode_length=1))
+    epochs = jax.device_get(jax.jit(train)(jax.random.key(0), None, train.env).epochs)
+    assert 0 < epochs["collect/valid"].mean() < 1
+    assert all(np.isfinite(values).all() for values in epochs.values())
+
+
 def test_a_callback_hears_of_each_evaluation_of_each_seed(sweep, heard):
     jax.effects_barrier()
     name = "train_goal/episode_length"
