@@ -38,13 +38,17 @@ def make(config: GCIVLConfig, env) -> Agent:
         keys, inputs = jax.random.split(key), td3.joined(features, code)
         return {"actor": actor.init(keys[0], inputs), "value": value.init(keys[1], inputs)}, ()
 
+    def both(params, features, code):
+        """V1 and V2 [2, B]."""
+        return value.apply(params["value"], td3.joined(features, code))[..., 0]
+
     def values(params, inputs):
         """The mean of both values, float32 [B]."""
         return value.apply(params["value"], inputs)[..., 0].mean(0)
 
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """Expectile regression of the values, and the actor's with the advantage V(s', g) - V(s, g)."""
-        value_loss, metrics = offline.implicit_values(value, params, target_params, batch, hyper.expectile)
+        value_loss, metrics = offline.implicit_values(both, params, target_params, batch, hyper.expectile)
         (first, last), frozen = offline.actor_inputs(batch), jax.lax.stop_gradient(params)
         advantage = values(frozen, last) - values(frozen, first)
         log_pi = offline.log_density(actor.apply(params["actor"], first), batch.action)

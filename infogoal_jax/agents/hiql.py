@@ -74,13 +74,13 @@ def make(config: HIQLConfig, env) -> Agent:
         """phi(s, g) [B, P]."""
         return of_length(goals.apply(params["goals"], td3.joined(features, code)))
 
-    def values(of_head, params, features, code):
-        """V1 and V2 [2, B, 1] of the head's parameters, with phi of `params`."""
-        return head.apply(of_head["value"], td3.joined(features, phi(params, features, code)))
+    def both(params, features, code):
+        """V1 and V2 [2, B]."""
+        return head.apply(params["value"], td3.joined(features, phi(params, features, code)))[..., 0]
 
     def value(params, features, code, action_mask=None):
         """The mean of both values, float32 [B]."""
-        return values(params, params, features, code)[..., 0].mean(0)
+        return both(params, features, code).mean(0)
 
     def act(params, features, code, action_mask, key, exploration):
         """The low level's action towards the subgoal that the high level says."""
@@ -88,19 +88,12 @@ def make(config: HIQLConfig, env) -> Agent:
         best = jnp.clip(low.apply(params["low"], td3.joined(features, subgoal)), -1.0, 1.0)
         return td3.explore(key, best, exploration.noise, exploration.epsilon)
 
-    def value_loss(params, target_params, batch, expectile):
-        """As of GCIVL. phi has no target network."""
-        frozen = jax.lax.stop_gradient(params)
-        following = values(target_params, frozen, batch.target_features, batch.target_code)[..., 0]
-        now = values(target_params, frozen, batch.first_target_features, batch.first_target_code)[..., 0].mean(0)
-        current = values(params, params, batch.features, batch.code)[..., 0]
-        return offline.implicit_loss(batch, following, now, current, expectile)
-
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """Of values, and of both levels with the advantages V(s', w) - V(s, w) of the subgoal w that is reached and
         V(w, g) - V(s, g) (HIQL, Eqs. 6 and 7)."""
-        of_values, metrics = value_loss(params, target_params, batch, hyper.expectile)
         frozen = jax.lax.stop_gradient(params)
+        targets = target_params | {"goals": frozen["goals"]}  # phi has no target network.
+        of_values, metrics = offline.implicit_values(both, params, targets, batch, hyper.expectile)
         features, following, way, goal = jax.lax.stop_gradient(
             (batch.features, batch.next_features, batch.waypoints, batch.actor)
         )

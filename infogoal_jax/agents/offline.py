@@ -115,25 +115,17 @@ def actor_inputs(batch: AgentBatch) -> tuple[jax.Array, jax.Array]:
 
 
 def implicit_values(
-    value: Any, params: dict, target_params: dict, batch: AgentBatch, expectile: jax.Array
-) -> tuple[jax.Array, dict]:
-    """`implicit_loss` of twin values V(s, g), and metrics. value: module of params["value"], [B, D] to [2, B, 1]."""
-    first = td3.joined(batch.first_target_features, batch.first_target_code)
-    following = value.apply(target_params["value"], td3.joined(batch.target_features, batch.target_code))[..., 0]
-    now = value.apply(target_params["value"], first)[..., 0].mean(0)
-    values = value.apply(params["value"], td3.joined(batch.features, batch.code))[..., 0]
-    return implicit_loss(batch, following, now, values, expectile)
-
-
-def implicit_loss(
-    batch: AgentBatch, following: jax.Array, now: jax.Array, values: jax.Array, expectile: jax.Array
+    values: Callable, params: dict, target_params: dict, batch: AgentBatch, expectile: jax.Array
 ) -> tuple[jax.Array, dict]:
     """The loss of twin values of transitions alone, and metrics (OGBench, Eq. 4: IQL without Q).
 
-    following: [2, B] of the target networks after the transitions; now: [B], their mean before them, so that the weight
-    of a difference does not depend on it; values: [2, B], which learn.
+    values: (params, features [B, F], code [B, d]) -> [2, B]. The weight of a difference depends on the mean of the
+    target networks' values before the transition, not on what learns.
     """
+    following = values(target_params, batch.target_features, batch.target_code)
+    before = values(target_params, batch.first_target_features, batch.first_target_code).mean(0)
+    learned = values(params, batch.features, batch.code)
     target = jax.lax.stop_gradient(batch.reward + batch.discount * following)
-    advantage = jax.lax.stop_gradient(target.min(0) - now)
-    loss = expectile_loss(advantage, target - values, expectile).mean(-1).sum()
-    return loss, {"value_loss": loss, "value": values.mean()}
+    advantage = jax.lax.stop_gradient(target.min(0) - before)
+    loss = expectile_loss(advantage, target - learned, expectile).mean(-1).sum()
+    return loss, {"value_loss": loss, "value": learned.mean()}
