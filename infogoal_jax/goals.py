@@ -138,7 +138,7 @@ class GoalSet:
 
     @property
     def examples(self) -> jax.Array:
-        """Goals that are desired in training, [M]: here all of them."""
+        """Training goals, int32 [M]: here all of them."""
         return self.training_goals
 
     @property
@@ -323,7 +323,7 @@ class GoalBox:
 
     @property
     def examples(self) -> jax.Array:
-        """Goals that are desired in training, float32 [M, D]: some of them."""
+        """Training goals, float32 [M, D]: some of them."""
         return jax.vmap(self.draw)(jax.random.split(from_seed(np.uint32(0)), EVALUATED_GOALS))
 
     def draw_any(self, key: jax.Array) -> jax.Array:

@@ -24,7 +24,7 @@ class GoalPairs:
     anchor: jax.Array
     """[B, *shape]."""
     positive: jax.Array
-    """[B, *shape], achieved within the window of the anchor."""
+    """[B, *shape], similar to the anchor: achieved within the window of it, or near it (`SampleSpec.radius`)."""
     contrast: jax.Array
     """[B, K, *shape], what each negative is compared with: the anchor, or another goal."""
     negative: jax.Array

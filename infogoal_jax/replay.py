@@ -1,8 +1,9 @@
-"""Replay buffer: rows of consecutive environment steps, as indices and small vectors without pixels. Pure functions
-over `Trajectories`.
+"""Replay buffer: rows of consecutive environment steps, as a task stores what it observes: an index where there is a
+list of all images, else a vector or an image. Pure functions over `Trajectories`.
 
-A row holds T + 1 observations and the T transitions between them. A row may hold several episodes. The transition from
-the last observation of an episode to the first of the next is marked invalid, and no function below looks across it.
+A row holds T + 1 observations and the T transitions between them. A row may hold several episodes. The step from the
+last observation of an episode to the first of the next is marked invalid, as one that diverged is, and no function
+below looks across it.
 """
 
 from collections.abc import Callable
@@ -25,11 +26,11 @@ class Trajectories:
     desired_goal: jax.Array
     """[R, T, *shape]."""
     valid: jax.Array
-    """bool [R, T], whether t -> t + 1 is a transition of one episode."""
+    """bool [R, T], whether t -> t + 1 is a transition of one episode: no reset, and no step that diverged."""
     terminated: jax.Array
-    """bool [R, T], whether the transition reached the goal."""
+    """bool [R, T], whether the transition reached the goal, and so ended its episode."""
     truncated: jax.Array
-    """bool [R, T], whether the time ran out with the transition."""
+    """bool [R, T], whether the episode ended otherwise with the step: time was up, it failed, or the step diverged."""
     decided: jax.Array
     """bool [R, T], whether the agent chose the action at t. A subgoal holds for several steps."""
     failed: jax.Array | None = None

@@ -42,9 +42,10 @@ class Traits(NamedTuple):
 class Environment:
     """A task. Members without a value must be given; the others have the value that most tasks need.
 
-    A state is a pytree with at least `desired_goal` ([*shape]), `time` (int32, steps taken), `terminated`
-    (bool, the goal is reached), `truncated` (bool, time is up; never together with terminated) and `diverged` (bool,
-    the last step of a simulation was thrown away and is not stored).
+    A state is a pytree with at least `desired_goal` ([*shape]), `time` (int32, steps taken), `terminated` (bool, the
+    goal is reached, where that ends the episode), `truncated` (bool, the episode is over without: time is up, it has
+    failed or diverged; never together with terminated) and `diverged` (bool, the last step of a simulation was thrown
+    away, and is no transition).
     """
 
     goals: GoalSpace
@@ -110,8 +111,8 @@ class Environment:
         raise NotImplementedError
 
     def observe(self, state: Any) -> Any:
-        """What is stored of the observation: an index int32 where there is a dataset of images, else a vector; or a
-        pytree of these."""
+        """What is stored of the observation: an index int32 where there is a dataset of images, else a vector or an
+        image; or a pytree of these."""
         raise NotImplementedError
 
     def render(self, observation: Any) -> jax.Array:

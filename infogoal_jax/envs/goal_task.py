@@ -100,11 +100,11 @@ class GoalTask(Environment):
         raise NotImplementedError("move")
 
     def observation(self, world: Any) -> jax.Array:
-        """What the agent sees: float32 [F], each number of the order of 1."""
+        """What the agent sees: float32 [F], each number of the order of 1, or an image uint8 [H, W, C]."""
         raise NotImplementedError("observation")
 
     def achieved_goal(self, world: Any) -> jax.Array:
-        """The goal that is achieved, float32 [D]."""
+        """The goal that is achieved, float32 [D]; NaN where there is none."""
         raise NotImplementedError("achieved_goal")
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:

@@ -36,12 +36,12 @@ class Experience:
     achieved_count: jax.Array
     """int32 [R * (T + 1)], running count of these."""
     known: pairs.KnownGoals | pairs.AchievedGoals
-    """Goals that may be negatives."""
+    """Goals that may be drawn, for the learner's loss and by relabelling."""
     dissimilarity: jax.Array | None
     """bool [N, N], as in `TrainState`."""
     codes: GoalCode | None
-    """Of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode
-    in every update."""
+    """Of all goals of a set by the epoch's first parameters, for the intrinsic reward, where there are too many goals
+    to encode in every update; else None."""
     goal_params: Any = None
     """The learner's parameters at the beginning of the epoch, where it classifies goals; else None."""
     relabelling: Any = None
