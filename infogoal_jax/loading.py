@@ -21,7 +21,7 @@ from infogoal_jax.agents import traits_of
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
-from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.environment import Traits, has_image_goals
 from infogoal_jax.errors import counted, require
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss, has_reward
@@ -72,7 +72,7 @@ def traits_seen(env) -> Traits:
     """The traits of an environment that was loaded or made by hand."""
     return Traits(
         finite_goals=env.goals.finite,
-        image_goals=env.train_backgrounds is not None and not env.goals.by_index,
+        image_goals=has_image_goals(env),
         moves=env.discrete,
         finite_observations=env.num_observations is not None,
         recorded=env.recorded is not None,
@@ -305,8 +305,9 @@ def check_same_task(config: TrainConfig, env: Any) -> None:
     should_be, own = traits_declared(config), env.unwrapped
     if should_be is None:
         return
-    # One that was loaded for goals by their number is still the task's.
-    seen = traits_seen(own)._replace(image_goals=own.train_backgrounds is not None)
+    if own.goals.by_index:  # One that was loaded for goals by their number is still the task's.
+        own = own.with_goals(own.goals.replace(by_index=False))
+    seen = traits_seen(own)
     for trait in ("finite_goals", "image_goals", "moves", "finite_observations", "recorded"):
         wanted, found = getattr(should_be, trait), getattr(seen, trait)
         require(

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from infogoal_jax.envs.environment import has_image_goals
 from infogoal_jax.envs.fetch.image_goals import ImageGoals
 from infogoal_jax.envs.target_states import SubgoalState
 from infogoal_jax.goals import corrupt, draw_backgrounds
@@ -23,7 +24,6 @@ from infogoal_jax.train.evaluation import (
     corrupted_images,
     corrupted_view,
     draw_starts,
-    has_image_goals,
     run_side_by_side,
 )
 from infogoal_jax.train.rollout import Policy

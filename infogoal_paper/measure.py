@@ -13,14 +13,14 @@ from jax.flatten_util import ravel_pytree
 from scipy import stats
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.envs.environment import data_of
+from infogoal_jax.envs.environment import data_of, has_image_goals
 from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.runner.compilation import jit
-from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
+from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.experience import make_experience
 from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.program import Train

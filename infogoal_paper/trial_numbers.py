@@ -35,11 +35,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.environment import has_image_goals
 from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.runs import disk
-from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
+from infogoal_jax.train.evaluation import corrupted_images
 from infogoal_paper.table_formats import machines_in_words, markdown_lines
 
 FILE = "numbers.csv.xz"

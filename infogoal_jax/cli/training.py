@@ -290,9 +290,9 @@ def train_in_processes(folder: Path, where: Where) -> int:
 
 def draw_video(folder: Path, env: Any) -> Path | None:
     """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are not images."""
+    from infogoal_jax.envs.environment import has_image_goals
     from infogoal_jax.report.figures import read_subject
     from infogoal_jax.report.video import policy_video
-    from infogoal_jax.train.evaluation import has_image_goals
 
     subject, path = read_subject(folder, env), folder / "figures" / "episode.gif"
     if not has_image_goals(env) or subject.params is None or "test" not in env.goals.groups:

@@ -181,6 +181,11 @@ def data_of(env: Environment) -> str:
     return f"{env.source}; learned from recordings {env.recorded_checksum}" if env.recorded_checksum else env.source
 
 
+def has_image_goals(env: Environment) -> bool:
+    """Whether goals of this environment are images that can be corrupted, and are shown as these."""
+    return env.train_backgrounds is not None and not env.goals.by_index
+
+
 def one_observation(env: Environment) -> Any:
     """Shape and type of what is stored of one observation. A reset is traced for it once, since that of a simulator
     takes seconds; always for an environment that is no pytree, or has a static field without a hash."""

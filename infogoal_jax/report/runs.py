@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from infogoal_jax import checks
-from infogoal_jax.envs.environment import data_of
+from infogoal_jax.envs.environment import data_of, has_image_goals
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
@@ -18,7 +18,7 @@ from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
-from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
+from infogoal_jax.train.evaluation import GoalView, corrupted_view
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.rollout import Policy
 

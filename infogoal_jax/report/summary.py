@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from infogoal_jax import checks, learners
+from infogoal_jax.envs.environment import has_image_goals
 from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import USES
@@ -29,7 +30,7 @@ from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
 from infogoal_jax.train.contracts import RECORDINGS_ALONE, check_simulated
-from infogoal_jax.train.evaluation import evaluate, has_image_goals, near_and_far
+from infogoal_jax.train.evaluation import evaluate, near_and_far
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {

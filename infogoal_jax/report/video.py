@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax import checks, files
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, has_image_goals
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
@@ -25,7 +25,7 @@ from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
 from infogoal_jax.train.contracts import check_simulated
-from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
+from infogoal_jax.train.evaluation import corrupted_images
 from infogoal_jax.train.rollout import Policy
 
 SHORTEST = {".mp4": 2, ".gif": 1}

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
+from infogoal_jax.envs.environment import has_image_goals
 from infogoal_jax.goals import GoalSpace, corrupt, draw_backgrounds
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
@@ -187,11 +188,6 @@ def random_policy(env) -> Policy:
         return jnp.where(mask, jax.random.uniform(key, mask.shape, jnp.float32), -1.0).argmax(-1).astype(jnp.int32)
 
     return act
-
-
-def has_image_goals(env) -> bool:
-    """Whether goals of this environment are images that can be corrupted."""
-    return env.test_backgrounds is not None and not env.goals.by_index
 
 
 def corrupted_images(

@@ -15,6 +15,7 @@ from infogoal_jax.agents.all_goals import OfAllGoals
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.agents.td3 import TD3Config
+from infogoal_jax.envs.environment import has_image_goals
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.loading import load_environment
@@ -195,6 +196,7 @@ def test_an_environment_with_goals_by_number_can_be_given_again():
     config = hand_made_frames.manipulation_config("leo", agent="dqn")
     env = load_environment(config, hand_made_frames.manipulation())
     assert env.goals.by_index and load_environment(config, env).goals.by_index
+    assert not has_image_goals(env) and has_image_goals(hand_made_frames.manipulation())
     with pytest.raises(UserError, match="image_goals is True, should be False"):
         load_environment(presets.load("object_search", "leo"), env)
 
