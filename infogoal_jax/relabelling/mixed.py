@@ -72,9 +72,9 @@ def make(config: MixedConfig) -> Relabelling:
         now = pairs.choose_goal(keys[1], achieved.goals[row, step])
         drawn = jax.random.uniform(keys[3], row.shape, jnp.float32)
         anything = any_known(keys[2], achieved.known, desired_goal)
-        found = select((drawn < current + future) & is_goal(ahead), ahead, anything)
-        found = select((drawn < current + future) & ~is_goal(ahead), desired_goal, found)
-        return select((drawn < current) & is_goal(now), now, found)
+        of_episode = select(drawn < current, now, ahead)
+        of_episode = select(is_goal(of_episode), of_episode, desired_goal)
+        return select(drawn < current + future, of_episode, anything)
 
     def relabel(key, table, row, step, desired_goal):
         return mixture(key, table, row, step, desired_goal, config.current_share, config.future_share, config.geometric)

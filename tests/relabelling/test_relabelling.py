@@ -268,6 +268,19 @@ def test_mixed_goals_are_current_later_and_any():
     np.testing.assert_allclose(actors, [0.5, 0, 0, 0, *[0.125] * 4, 0, 0], atol=0.03)
 
 
+def test_a_step_that_achieves_nothing_keeps_its_goal_for_its_share_of_current_ones():
+    """Not one that is achieved later, of which there are no more than their own share."""
+    rows = rows_of(np.ones((1, 3)), np.array([-1, 1, 1, 1]).reshape(1, 4, 1))
+    made, start = relabellings.registry.entry("mixed").make(MixedConfig(0.25, 0.5)), jnp.zeros(DRAWS, jnp.int32)
+
+    @jax.jit
+    def drawn(rows):
+        table = made.prepare(context(rows, known=jnp.zeros(GOALS, bool).at[0].set(True)))
+        return made.relabel(jax.random.key(0), table, start, start, jnp.full(DRAWS, 2, jnp.int32))
+
+    np.testing.assert_allclose(np.bincount(drawn(rows)) / DRAWS, [0.25, 0.5, 0.25], atol=0.03)
+
+
 def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
     rows = rows_of(np.ones((1, 6)), np.arange(1, 8).reshape(1, 7, 1))
     made = relabellings.registry.entry("mixed").make(MixedConfig(subgoal_steps=2))
