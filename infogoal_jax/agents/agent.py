@@ -77,6 +77,10 @@ class Waypoints:
     """float32 [B, F] of w_g."""
     code_there: jax.Array
     """float32 [B, d] of the actor's goal, in w_g."""
+    low_weight: jax.Array | None = None
+    """float32 [B], 1 where w achieves a known goal, else 0; None: all do."""
+    weight: jax.Array | None = None
+    """float32 [B], the same of w_g."""
 
 
 @flax.struct.dataclass

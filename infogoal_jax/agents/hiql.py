@@ -99,11 +99,13 @@ def make(config: HIQLConfig, env) -> Agent:
         )
         nearer = value(frozen, following, way.next_low_code) - value(frozen, features, way.low_code)
         towards = low.apply(params["low"], td3.joined(features, phi(frozen, features, way.low_code)))
-        low_loss = offline.weighted_regression(offline.log_density(towards, batch.action), nearer, hyper.low_alpha)
+        taken = offline.log_density(towards, batch.action)
+        low_loss = offline.weighted_regression(taken, nearer, hyper.low_alpha, way.low_weight)
         ahead = value(frozen, way.features, way.code_there) - value(frozen, features, goal.code)
         said = high.apply(params["high"], td3.joined(features, goal.code))
         reached = phi(frozen, features, way.code)
-        high_loss = offline.weighted_regression(offline.log_density(said, reached), ahead, hyper.high_alpha)
+        likely = offline.log_density(said, reached)
+        high_loss = offline.weighted_regression(likely, ahead, hyper.high_alpha, way.weight)
         metrics |= {"low_loss": low_loss, "high_loss": high_loss, "subgoal_error": jnp.square(said - reached).mean()}
         return of_values + low_loss + high_loss, metrics
 

@@ -98,9 +98,15 @@ def expectile_loss(advantage: jax.Array, difference: jax.Array, expectile: jax.A
     return jnp.where(advantage >= 0, expectile, 1.0 - expectile) * jnp.square(difference)
 
 
-def weighted_regression(log_pi: jax.Array, advantage: jax.Array, alpha: jax.Array) -> jax.Array:
-    """-E[min(exp(alpha advantage), 100) log pi(a | s, g)] (AWR, Peng et al. 2019; IQL, Eq. 7)."""
-    return -(jnp.minimum(jnp.exp(alpha * advantage), LARGEST_WEIGHT) * log_pi).mean()
+def weighted_regression(
+    log_pi: jax.Array, advantage: jax.Array, alpha: jax.Array, counts: jax.Array | None = None
+) -> jax.Array:
+    """-E[min(exp(alpha advantage), 100) log pi(a | s, g)] (AWR, Peng et al. 2019; IQL, Eq. 7).
+
+    counts: float32 [B], 1 for the transitions that are learned from, else 0; None: all are.
+    """
+    gain = jnp.minimum(jnp.exp(alpha * advantage), LARGEST_WEIGHT) * log_pi
+    return -gain.mean() if counts is None else -(gain * counts).sum() / jnp.maximum(counts.sum(), 1.0)
 
 
 def near_data(value: jax.Array, log_pi: jax.Array, alpha: jax.Array) -> jax.Array:

@@ -4,7 +4,7 @@ its own. Every step costs 1 until the goal.
 
 Three things differ from its code. A goal is achieved within the task's radius, there by the very state alone. A later
 step is drawn uniformly; there the first and the last are half as likely. Current and later steps that achieve nothing
-known keep their goal.
+known keep their goal, and are no subgoals.
 """
 
 import dataclasses
@@ -91,8 +91,7 @@ def make(config: MixedConfig) -> Relabelling:
         of_goal = jnp.where(from_episode, place - row * achieved.goals.shape[1], end)
 
         def achieved_at(key, step):
-            there = pairs.choose_goal(key, achieved.goals[row, step])
-            return select(is_goal(there), there, desired_goal)
+            return pairs.choose_goal(key, achieved.goals[row, step])
 
         anything = any_known(keys[2], achieved.known, desired_goal)
         low_step, high_step = jnp.minimum(ahead, end), jnp.minimum(ahead, of_goal)

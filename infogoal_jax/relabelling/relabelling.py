@@ -67,11 +67,11 @@ class Waypoints:
     """Which states episodes reach some steps after transitions."""
 
     low_goal: jax.Array
-    """[B, *shape], achieved so many steps later, or at the end of the episode."""
+    """[B, *shape], achieved so many steps later, or at the end of the episode; "no goal" where no known one is."""
     step: jax.Array
     """int32 [B], the step so many later, but not after the one that achieves the actor's goal."""
     goal: jax.Array
-    """[B, *shape], achieved there."""
+    """[B, *shape], achieved there; "no goal" where no known one is."""
 
 
 class Relabelling(NamedTuple):

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
+from infogoal_jax.goals import is_goal, with_placeholders
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
@@ -57,12 +58,15 @@ def with_actor_goals(
     if waypoints is None:
         return batch
     low_goal, on_the_way, observation = waypoints
-    there, of_low_goal = encode_states(setup, params, setup.config.batch_size)(observation), encode(low_goal)
+    there = encode_states(setup, params, setup.config.batch_size)(observation)
+    of_low_goal = encode(with_placeholders(low_goal))
     return batch.replace(
         waypoints=Waypoints(
+            low_weight=is_goal(low_goal).astype(jnp.float32),
+            weight=is_goal(on_the_way).astype(jnp.float32),
             low_code=code_in(2, here, of_low_goal),
             next_low_code=code_in(3, last, of_low_goal),
-            code=code_in(4, here, encode(on_the_way)),
+            code=code_in(4, here, encode(with_placeholders(on_the_way))),
             features=there,
             code_there=code_in(5, there, of_goal),
         )

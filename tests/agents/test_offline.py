@@ -217,6 +217,31 @@ def test_qrl_holds_a_state_at_its_goal_whatever_else_is_rewarded():
     assert found != distance_loss(batch.replace(at_goal=~batch.at_goal))
 
 
+def test_what_is_achieved_by_no_known_goal_is_no_subgoal_of_hiql():
+    """Both levels learn from the other transitions as if these were all."""
+    agent, entry = agent_of("hiql", size=4)
+    batch = vector_agents.random_batch()
+    code, features = batch.code, batch.features
+    way = Waypoints(code, code + 1, code - 1, features + 1, code, *2 * [np.arange(len(code)) < 4])
+    batch = batch.replace(
+        actor=ActorGoals(code, code), waypoints=way, first_target_features=features, first_target_code=code
+    )
+    params, state = vector_agents.started(agent)
+
+    @jax.jit
+    def levels(batch):
+        metrics = agent.loss(params, params, batch, state, entry.hyper(), KEY)[1]
+        return metrics["low_loss"], metrics["high_loss"]
+
+    def first(tree):
+        return jax.tree.map(lambda leaf: leaf[:4], tree)
+
+    alone = first(batch).replace(waypoints=first(way).replace(low_weight=None, weight=None))
+    np.testing.assert_allclose(levels(batch), levels(alone), rtol=1e-5)
+    every = batch.replace(waypoints=way.replace(low_weight=None, weight=None))
+    assert not np.allclose(levels(batch), levels(every), rtol=1e-2)
+
+
 def test_the_actor_learns_for_goals_as_the_update_varies_them():
     """RAD's, by the key of the update's view, as the values'."""
     train = make_train(presets.load("point_maze", "rad", agent="gciql", batch_size=4, buffer_steps=3200), None)

@@ -295,3 +295,7 @@ def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
         assert set(goal.tolist()) == set(range(first + 2, 8)) and (way.low_goal == low).all()
         np.testing.assert_array_equal(way.goal, np.minimum(goal, low))
         np.testing.assert_array_equal(way.step, way.goal - 1)
+    unknown = rows_of(np.ones((1, 6)), np.array([1, 2, -1, -1, 5, 6, 7]).reshape(1, 7, 1))
+    goal, way = jax.tree.map(np.asarray, drawn(unknown, jnp.zeros(300, jnp.int32)))
+    assert set(goal.tolist()) == {2, 5, 6, 7} and (way.low_goal == -1).all()
+    np.testing.assert_array_equal(way.goal, np.where(goal == 2, 2, -1))  # Not the goal of the episode.
