@@ -56,7 +56,7 @@ def test_without_opengl_the_builder_says_what_to_install(monkeypatch, tmp_path):
     [
         ("--tasks fetch_push", "push.npz"),
         ("--tasks fetch_slide", "fetch_slide"),
-        ("--tasks", "tasks = ()"),
+        ("--tasks", "tasks: no value follows"),
         ("--seed -1 --tasks fetch_reach", "seed = -1"),
     ],
 )
