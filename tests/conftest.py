@@ -16,6 +16,7 @@ from infogoal_jax.__main__ import GARBAGE
 
 # The process that hands out the tests imports this module too: what it does not need is imported where it is used.
 
+os.environ.setdefault("RAY_memory_monitor_refresh_ms", "0")  # Else Ray kills workers for the memory that others hold.
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
