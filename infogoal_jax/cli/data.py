@@ -11,7 +11,7 @@ from pathlib import Path
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder, tell
-from infogoal_jax.errors import UserError, counted, typed
+from infogoal_jax.errors import UserError, counted, require, typed
 
 
 def house(path: Positional[str], seed: int = 0) -> int:
@@ -121,8 +121,7 @@ def check(path: Positional[str]) -> int:
         path: Folder of scenes of the Active Vision Dataset, or npz of an image dataset or of recorded episodes
             (docs/reference/datasets.md).
 
-    Returns:
-        2 if anything is an error.
+    Raises `UserError` if anything is an error.
     """
     from infogoal_jax.data import episodes
 
@@ -140,13 +139,14 @@ def check(path: Positional[str]) -> int:
         tell(f"{finding.severity:8s} {finding.where}: {finding.problem}")
     errors = sum(finding.severity == "error" for finding in findings)
     tell(f"{path}: {counted(errors, 'error')}, {counted(len(findings) - errors, 'warning')}")
-    if of_episodes and not errors:
+    require(not errors, "path", path, "mend what is listed")
+    if of_episodes:
         tell(f"{path}: {episodes.describe(episodes.load(path))}")
-    elif is_file and not errors:
+    elif is_file:
         from infogoal_jax.data import frames
 
         print_size(path, frames.load(path))
-    return 2 if errors else 0
+    return 0
 
 
 def import_images(
