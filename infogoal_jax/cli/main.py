@@ -170,7 +170,10 @@ def said_by_simulator(error: BaseException) -> str:
 
 FOLDER_FLAGS = ("--resume", "--out")
 """Flags whose default is an empty word, which nobody types."""
-LIST_FLAGS = ("--sweep", "--fields", "--metrics", "--labels", "--wrap", "--tasks", "--methods", "--variants", "--sets")
+LIST_FLAGS = (
+    *("--sweep", "--fields", "--metrics", "--labels", "--wrap"),
+    *("--tasks", "--methods", "--variants", "--sets", "--known-goals"),
+)
 """Flags that take any number of words, of which none would count as not given."""
 
 
@@ -180,7 +183,8 @@ def check_given(arguments: list[str]) -> None:
     for word, following in itertools.pairwise([*arguments, None]):
         is_list = word in LIST_FLAGS and (following is None or following.startswith("--"))
         if is_list and following not in ("--help", "--help-all"):
-            raise UserError(f"{word.removeprefix('--')}: no value follows; give at least one, or leave the flag out")
+            field = word.removeprefix("--").replace("-", "_")
+            raise UserError(f"{field}: no value follows; give at least one, or leave the flag out")
         flag = word.removeprefix("--").removesuffix("=")
         empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
         require(not empty, flag, "", "is empty; give a folder, or leave the flag out")

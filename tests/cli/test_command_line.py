@@ -137,6 +137,7 @@ MISTAKES = [
     ("video fetch_reach --out a.gif --height 1", ["height = 1: give 64 to 1620 pixels"]),
     ("train point_maze --sweep --seeds 2", ["sweep: no value follows; give at least one, or leave the flag out"]),
     ("compare run --out a.png --labels", ["labels: no value follows"]),
+    ("reproduce all_goals --known-goals --list", ["known_goals: no value follows"]),
     ("train push", ["task = 'push'", "Did you mean 'fetch_push'?"]),
     ("train object_search 3", ["'3': no flag takes it; leave it out"]),
     ("pretrain fetch_push --seeds x", ["seeds = 'x'", "infogoal pretrain fetch_push --help"]),
