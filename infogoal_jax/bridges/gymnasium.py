@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks, envs
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, failed_in
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
@@ -136,11 +136,6 @@ def start(env: Environment, key: jax.Array, goal: jax.Array) -> tuple[Any, dict[
     drawn = jax.random.choice(drawn_key, space.training_goals) if space.finite else space.draw(drawn_key)
     state = env.reset_to(start_key, select(is_goal(goal), goal, drawn))
     return state, seen(env, state)
-
-
-def failed_in(env: Environment, state: Any) -> jax.Array:
-    """Whether the episode has failed, bool."""
-    return env.failed(state) if env.can_fail else jnp.zeros((), bool)
 
 
 @jax.jit

@@ -181,6 +181,11 @@ def data_of(env: Environment) -> str:
     return f"{env.source}; learned from recordings {env.recorded_checksum}" if env.recorded_checksum else env.source
 
 
+def failed_in(env: Environment, state: Any) -> jax.Array:
+    """Whether the episode has failed in this state, bool; of a task whose episodes never do, too."""
+    return env.failed(state) if env.can_fail else jnp.zeros((), bool)
+
+
 def has_image_goals(env: Environment) -> bool:
     """Whether goals of this environment are images that can be corrupted, and are shown as these."""
     return env.train_backgrounds is not None and not env.goals.by_index

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax import checks, files
-from infogoal_jax.envs.environment import Environment, has_image_goals
+from infogoal_jax.envs.environment import Environment, failed_in, has_image_goals
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
@@ -245,8 +245,8 @@ def drawn_video(
             yield state
             if state.terminated | state.truncated:
                 break
-        failed = env.can_fail and bool(env.failed(state))
-        reached.append(not failed and bool(env.reached(env.achieved(state), state.desired_goal)))
+        at_goal = env.reached(env.achieved(state), state.desired_goal)
+        reached.append(bool(at_goal & ~failed_in(env, state)))
         yield from [state] * fps
 
     def frames() -> Iterator[np.ndarray]:
