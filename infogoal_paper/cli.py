@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group, check_seed, named
+from infogoal_jax.cli.commands import Group, WholeNumbers, Words, check_seed, named
 from infogoal_jax.errors import UserError, require
 from infogoal_paper.paper import DESCRIPTIONS
 
@@ -25,15 +25,15 @@ class Flags:
 
     name: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all"
     """Of the table or figure."""
-    tasks: tuple[str, ...] = ()
+    tasks: Words = ()
     """Tasks; empty: all."""
-    methods: tuple[str, ...] = ()
+    methods: Words = ()
     """Rows of Table I, or of the table of all_goals (none, her, leo, all_goals, infogoal+all_goals, infobot+all_goals);
     empty: all."""
-    variants: tuple[str, ...] = ("paper", "her")
+    variants: Words = ("paper", "her")
     """Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too; text, in
     which InfoGoal, InfoBot and GCB have it."""
-    sets: tuple[int, ...] = ()
+    sets: WholeNumbers = ()
     """Goal sets; empty: all of each task."""
     seeds: int = 5
     """Seeds of each run, from 0 on."""
@@ -70,7 +70,7 @@ class Flags:
     """Draw what there are numbers for at the end."""
     format: Literal["png", "pdf", "svg"] = "png"
     """Of the figures; PNG is written besides, for the pages."""
-    known_goals: tuple[str, ...] = ()
+    known_goals: Words = ()
     """Protocols of all_goals: visited, in which goals that are achieved may enter; held_out, in which test and
     validation goals never do; empty: both."""
 
@@ -104,7 +104,7 @@ def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results") -> i
 
 
 def goal_images(
-    path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+    path: Positional[str], seed: int = 0, tasks: Words = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 ) -> int:
     """Draw goal sets of Fetch (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
     docs/reference/goal_inputs.md).

@@ -78,8 +78,8 @@ def reproduce(asked: Asked) -> int:
     by_ray = asked.engine == "ray"
     require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
     require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")
-    spread = "goes with --processes, which says how many are spread over them"
-    require(asked.processes or not asked.gpus, "gpus", asked.gpus, spread)
+    spread = "goes with --processes of at least 2, which are spread over them"
+    require(asked.processes > 1 or not asked.gpus, "gpus", asked.gpus, spread)
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
     if asked.from_ is not None:
         draw(asked, numbers.load(asked.from_))

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks, envs
+from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Environment, failed_in
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import Fetch
@@ -91,6 +92,7 @@ def load(task: str | Environment, config: Any) -> Environment:
     checks.not_forked()
     if isinstance(task, Environment):
         require(config is None, "config", config, "leave it out: the environment has one of its own")
+        check_contract(task)
         env = task
     elif isinstance(task, str) and task in TASKS:
         fits = config is None or isinstance(config, FetchConfig)

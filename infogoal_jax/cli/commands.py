@@ -51,6 +51,28 @@ Pair = Annotated[
 markup unread: `[bold]INT INT[/bold]`."""
 
 
+def several(kind: type, metavar: str) -> PrimitiveConstructorSpec:
+    """Of a flag that takes one value of a kind or more. What tyro makes of the type alone takes a flag that nothing
+    follows for one that is left out."""
+
+    def read(words: list[str]) -> tuple:
+        if not words:
+            raise ValueError("no value follows")
+        return tuple(map(kind, words))
+
+    return PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"{metavar} [{metavar} ...]",
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, tuple) and all(isinstance(each, kind) for each in value),
+        str_from_instance=lambda values: list(map(str, values)),
+    )
+
+
+Words = Annotated[tuple[str, ...], several(str, "STR")]
+WholeNumbers = Annotated[tuple[int, ...], several(int, "INT")]
+
+
 class Group(NamedTuple):
     """Commands under one name. help: what they are for, in a line; commands: functions and groups by name."""
 

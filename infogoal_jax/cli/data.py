@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder, tell
+from infogoal_jax.cli.commands import Group, Pair, Words, check_seed, empty_folder, tell
 from infogoal_jax.errors import UserError, counted, require, typed
 
 
@@ -150,12 +150,7 @@ def check(path: Positional[str]) -> int:
 
 
 def import_images(
-    images: Positional[str],
-    table: Positional[str],
-    out: str,
-    size: Pair = None,
-    wrap: tuple[str, ...] = (),
-    name: str = "",
+    images: Positional[str], table: Positional[str], out: str, size: Pair = None, wrap: Words = (), name: str = ""
 ) -> int:
     """Make an image dataset of a folder of images and a CSV.
 

@@ -168,26 +168,13 @@ def said_by_simulator(error: BaseException) -> str:
     return found[1] if found else ""
 
 
-FOLDER_FLAGS = ("--resume", "--out")
-"""Flags whose default is an empty word, which nobody types."""
-LIST_FLAGS = (
-    *("--sweep", "--fields", "--metrics", "--labels", "--wrap"),
-    *("--tasks", "--methods", "--variants", "--sets", "--known-goals"),
-)
-"""Flags that take any number of words, of which none would count as not given."""
-
-
 def check_given(arguments: list[str]) -> None:
-    """Raise `UserError` for an empty word where a folder is named, as an unset variable of a shell leaves it: it would
-    count as not given, and something else would be written to. And for a list of nothing."""
-    for word, following in itertools.pairwise([*arguments, None]):
-        is_list = word in LIST_FLAGS and (following is None or following.startswith("--"))
-        if is_list and following not in ("--help", "--help-all"):
-            field = word.removeprefix("--").replace("-", "_")
-            raise UserError(f"{field}: no value follows; give at least one, or leave the flag out")
-        flag = word.removeprefix("--").removesuffix("=")
-        empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
-        require(not empty, flag, "", "is empty; give a folder, or leave the flag out")
+    """Raise `UserError` for an empty word, as an unset variable of a shell leaves it: it would count as not given, and
+    another folder would be written to, or stand-in data learned from."""
+    for before, word in itertools.pairwise(["", *arguments]):
+        flag, sign, value = word.partition("=") if word.startswith("--") else (before, "=", word)
+        field = flag.removeprefix("--").replace("-", "_") if flag.startswith("--") else "arguments"
+        require(value or not sign, field, "", "is empty; give a value, or leave it out")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,6 +3,7 @@ what was given and what would be right."""
 
 import contextlib
 import io
+import itertools
 import re
 from collections.abc import Callable
 from typing import Any
@@ -69,6 +70,8 @@ def explanation(event: Any, arguments: list[str], known_flags: Callable[[], list
             return f"{name_of(argument)} = {shown(event.value)}: give {remedy(argument)}.{near}".rstrip(".")
         case "InstantiationFailure" if argument is not None:
             given = given_for(argument, arguments)
+            if not given:
+                return f"{name_of(argument)}: no value follows; give at least one, or leave the flag out"
             return f"{name_of(argument)} = {given}: give {remedy(argument)}"
     return ""
 
@@ -86,14 +89,19 @@ def given_for(argument: Any, arguments: list[str]) -> str:
     for place, word in enumerate(arguments):
         flag, sign, value = word.partition("=")
         if flag.replace("_", "-") in flags:
-            count = argument.lowered.nargs if isinstance(argument.lowered.nargs, int) else 1
-            found = shown(value if sign else " ".join(arguments[place + 1 : place + 1 + count]))
+            nargs, words = argument.lowered.nargs, arguments[place + 1 :]
+            if isinstance(nargs, int):
+                words = words[:nargs]
+            else:
+                words = itertools.takewhile(lambda word: not word.startswith("--"), words)
+            value = value if sign else " ".join(words)
+            found = shown(value) if value else ""
     return found
 
 
 def remedy(argument: Any) -> str:
     """What an argument takes, in words."""
-    words = str(argument.lowered.metavar or "")
+    words = re.sub(r" \[.*", "", str(argument.lowered.metavar or ""))  # Of several values, one.
     choices = argument.lowered.choices or tuple(re.sub(r"^\{|\}$", "", words).split(",")) * words.startswith("{")
     if choices and "|" not in words:
         return " or ".join(filter(None, [", ".join(choices[:-1]), choices[-1]]))

@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
-from infogoal_jax.cli.commands import check_seed, draw, tell
+from infogoal_jax.cli.commands import Words, check_seed, draw, tell
 from infogoal_jax.errors import UserError, counted, require
 from infogoal_jax.imports import entry_points, load, typed_command
 
@@ -69,10 +69,10 @@ def report(
 def compare(
     runs: Positional[tuple[str, ...]],
     out: str,
-    metrics: tuple[str, ...] = (),
+    metrics: Words = (),
     captions: FlagCreatePairsOff[bool] = False,
     style: str = "",
-    labels: tuple[str, ...] = (),
+    labels: Words = (),
 ) -> int:
     """Draw several runs of one task in one figure: their success, or any metrics.
 

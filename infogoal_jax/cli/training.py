@@ -25,6 +25,7 @@ from infogoal_jax.cli.commands import (
     Command,
     Group,
     TaskCommands,
+    Words,
     check_resumed_in_place,
     draw,
     named,
@@ -55,7 +56,7 @@ def train(
     figures: bool = True,
     tensorboard: FlagCreatePairsOff[bool] = False,
     wandb: str = "",
-    sweep: tuple[str, ...] = (),
+    sweep: Words = (),
     vmap_size: int = 0,
     synonyms: Annotated[Synonyms, OmitArgPrefixes] = Synonyms(),  # noqa: B008 (frozen)
     where: Annotated[Where, OmitArgPrefixes] = Where(),  # noqa: B008 (frozen)
@@ -204,8 +205,8 @@ def check_where(where: Where, resume: str) -> None:
     require(where.gpus >= 0, "gpus", where.gpus, "give 0 or more")
     require(by_ray or not where.ray_address, "ray_address", where.ray_address, "goes with --engine ray")
     require(not (by_ray and where.gpus), "gpus", where.gpus, "Ray spreads programs over GPUs by itself; leave it out")
-    spread = "goes with --processes, which says how many are spread over them"
-    require(bool(where.processes) or not where.gpus, "gpus", where.gpus, spread)
+    spread = "goes with --processes of at least 2, which are spread over them"
+    require(where.processes > 1 or not where.gpus, "gpus", where.gpus, spread)
 
 
 def is_sweep(folder: str) -> bool:

@@ -8,7 +8,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.choice import all_tasks, check_left_out, check_same_parts, of_task, preset_of, read_choice
-from infogoal_jax.cli.commands import TaskCommands, check_resumed_in_place, check_seed, new_folder, seeds_from
+from infogoal_jax.cli.commands import TaskCommands, Words, check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.imports import typed_command
 
@@ -24,7 +24,7 @@ def tune(
     seeds: int = 2,
     first_seed: int = 1000,
     space_seed: int = 0,
-    fields: tuple[str, ...] = (),
+    fields: Words = (),
     out: str = "",
     help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:

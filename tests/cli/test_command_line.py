@@ -138,6 +138,8 @@ MISTAKES = [
     ("train point_maze --sweep --seeds 2", ["sweep: no value follows; give at least one, or leave the flag out"]),
     ("compare run --out a.png --labels", ["labels: no value follows"]),
     ("reproduce all_goals --known-goals --list", ["known_goals: no value follows"]),
+    ("reproduce table1 --sets --list", ["sets: no value follows; give at least one, or leave the flag out"]),
+    ("reproduce table1 --sets 1 b", ["sets = '1 b': give a whole number"]),
     ("train push", ["task = 'push'", "Did you mean 'fetch_push'?"]),
     ("train object_search 3", ["'3': no flag takes it; leave it out"]),
     ("pretrain fetch_push --seeds x", ["seeds = 'x'", "infogoal pretrain fetch_push --help"]),
@@ -296,11 +298,12 @@ def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, c
     assert "--resume run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--resume", ""], ["--resume="], ["--out", ""], ["--out="]])
-def test_a_folder_that_is_empty_is_not_one_that_is_left_out(words, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("words", [["--resume", ""], ["--out="], ["--env.dataset", ""], ["--wandb="], ["--seeds", ""]])
+def test_an_empty_word_is_not_one_that_is_left_out(words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["train", "object_search", *words]) == 2
-    assert "is empty; give a folder, or leave the flag out" in capsys.readouterr().err
+    field = words[0].strip("-=")
+    assert f"{field} = '': is empty; give a value, or leave it out" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

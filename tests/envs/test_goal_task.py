@@ -12,6 +12,7 @@ import pytest
 
 from infogoal_jax import UserError, envs, make_train, presets
 from infogoal_jax.agents.td3 import TD3Config
+from infogoal_jax.bridges.gymnasium import TaskGymnasium, TaskVector
 from infogoal_jax.envs.contract import check_contract, check_goals
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
@@ -190,8 +191,9 @@ def test_a_task_that_is_no_pytree_is_refused():
     class Forgotten(Square):
         """Without the decorator."""
 
-    with pytest.raises(UserError, match="^env = 'Forgotten': is no pytree; write @flax.struct.dataclass above"):
-        presets.register("forgotten", Forgotten(GOALS))
+    for use in (lambda env: presets.register("forgotten", env), TaskGymnasium, lambda env: TaskVector(env, 2)):
+        with pytest.raises(UserError, match="^env = 'Forgotten': is no pytree; write @flax.struct.dataclass above"):
+            use(Forgotten(GOALS))
 
 
 @pytest.mark.parametrize("kind", [list, tuple, np.asarray, jnp.asarray])

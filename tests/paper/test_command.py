@@ -127,9 +127,11 @@ def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
     assert words[words.index("--known-goals") + 1] == "held_out"
 
 
-def test_gpus_go_with_processes(capsys, tmp_path):
-    assert main(["reproduce", "table1", "--gpus", "2", "--out", str(tmp_path)]) == 2
-    assert "gpus = 2" in (refusal := capsys.readouterr().err) and "--processes" in refusal
+@pytest.mark.parametrize("processes", [[], ["--processes", "1"]])
+@pytest.mark.parametrize("command", ["reproduce table1", "train point_maze"])
+def test_gpus_go_with_several_processes(command, processes, capsys, tmp_path):
+    assert main([*command.split(), "--gpus", "2", *processes, "--out", str(tmp_path)]) == 2
+    assert "gpus = 2" in (refusal := capsys.readouterr().err) and "--processes of at least 2" in refusal
 
 
 def test_a_process_is_asked_for_the_same(capsys, tmp_path):
