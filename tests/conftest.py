@@ -1,6 +1,8 @@
 """What several test files share: programs on disk, a run with image goals, a tiny house, the shipped goal images,
 made-up numbers of every run, and a reproduction whose clock runs out; and the order of the files."""
 
+import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -21,6 +23,8 @@ MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
 next."""
+MUCH_MEMORY = 2.5
+"""GB that a worker holds; two of the long tests held 7 each at their end, most of it freed and not given back."""
 LONGEST_FIRST = (
     "training",
     "own_contracts",
@@ -167,13 +171,20 @@ def nothing_of_other_tests():
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
-    """Forget compiled programs between files when they are many; what is needed again is compiled again."""
+    """Forget compiled programs between files when they are many or large; what is needed again is compiled again."""
     yield
     import jax
 
-    if MEMORY_MAPS.exists() and MEMORY_MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+    if MEMORY_MAPS.exists() and (MEMORY_MAPS.read_bytes().count(b"\n") > MANY_MAPS or memory() > MUCH_MEMORY):
         jax.clear_caches()
         gc.collect()
+        with contextlib.suppress(AttributeError):  # The C library is another one than glibc.
+            ctypes.CDLL(None).malloc_trim(0)
+
+
+def memory() -> float:
+    """GB of memory that this process holds, on Linux."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 @pytest.fixture
