@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import flax.serialization
 import jax
 import numpy as np
 from rich.console import Console
@@ -317,7 +318,7 @@ def join(folder: Path, seeds: list[int]) -> None:
         tables.replace_table(folder, table, [rows[epoch, seed] for epoch in epochs for seed in seeds])
     for name in ("checkpoint", "policy"):
         read = [checkpoint.read_header(part / name) for part in parts]
-        trees = [checkpoint.state_dict(payload) for _, payload in read]
+        trees = [flax.serialization.msgpack_restore(payload) for _, payload in read]
         whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
         checkpoint.save(folder / name, {"epoch": read[0][0]["epoch"], **about.values()}, whole)
     timings = [timing for part in parts if (timing := tables.read_timing(part))]

@@ -109,20 +109,6 @@ def load(path: Path, template: Any) -> tuple[dict[str, Any], Any]:
     return header, arrays(path, payload, template)
 
 
-def state_dict(payload: bytes) -> Any:
-    """The nested dicts of a payload under the names of today: what was `goal` in rows and in states of environments is
-    `desired_goal`."""
-
-    def renamed(node):
-        if not isinstance(node, dict):
-            return node
-        ends = node["robot"] if isinstance(node.get("robot"), dict) else node  # Tasks of images and of targets.
-        of_episodes = {"terminated", "truncated"} <= ends.keys()
-        return {"desired_goal" if of_episodes and name == "goal" else name: renamed(node[name]) for name in node}
-
-    return renamed(flax.serialization.msgpack_restore(payload))
-
-
 def arrays(path: Path, payload: bytes, template: Any) -> Any:
     """The pytree whose bytes `read_header` returned. Raises `UserError` for another structure or other shapes than the
     template's."""
@@ -134,7 +120,7 @@ def arrays(path: Path, payload: bytes, template: Any) -> Any:
         f"{path.parent / 'config.json'}"
     )
     try:
-        plain = flax.serialization.from_state_dict(in_lists(plain_template), state_dict(payload))
+        plain = flax.serialization.from_bytes(in_lists(plain_template), payload)
     except (KeyError, TypeError, ValueError) as error:
         raise other from error
     for expected, found in zip(jax.tree.leaves(plain_template), jax.tree.leaves(plain), strict=True):

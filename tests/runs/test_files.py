@@ -6,7 +6,6 @@ import json
 import os
 from pathlib import Path
 
-import flax.serialization
 import hand_made
 import jax
 import mujoco
@@ -153,18 +152,6 @@ def test_runs_of_all_goals_from_before_a_field_was_there_are_read(agent):
     del former["relabelling"]["desired_share"], former["agent"]["layer_norm"]
     found = from_dict(former).agent
     assert (found.all_goals, found.num_goals, found.desired_share, found.layer_norm) == (True, 512, 0.0, False)
-
-
-def test_checkpoints_from_before_a_desired_goal_had_that_name_are_read():
-    """Of the replay buffer and of states, images of robots among them; parameters of the goal encoder keep theirs."""
-    ends = {"terminated": 1, "truncated": 2}
-    now = {
-        "params": {"goal": 3},
-        "buffer": {"desired_goal": 4, **ends},
-        "env_states": {"inner": {"desired_goal": 5, "robot": {"desired_goal": 6, **ends}}},
-    }
-    former = json.loads(json.dumps(now).replace("desired_goal", "goal"))
-    assert [checkpoint.state_dict(flax.serialization.msgpack_serialize(each)) for each in (now, former)] == [now, now]
 
 
 def value_at(values: dict, path: tuple[str, ...]):
