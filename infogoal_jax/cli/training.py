@@ -140,12 +140,12 @@ def train(
         sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, **told)
         several.part()  # Figures may take longer than the others would wait.
         listeners.end_progress()
-        from infogoal_jax.report.summary import print_summary
+        from infogoal_jax.report.summary import print_run
 
         with stop_on_signal() as stop:
             stop.advice = f"the run in {folder} is whole; draw its figures with: {typed_command('report', folder)}"
             if not where.quiet:
-                print_summary(sweep)
+                print_run(folder)
             if sweep.stopped:
                 print(f"Stopped. Go on with: {onward}")
                 return STATUS

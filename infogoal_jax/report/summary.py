@@ -23,7 +23,7 @@ from infogoal_jax.loading import make_train
 from infogoal_jax.presets.loading import run_title
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.runner import memory, training
+from infogoal_jax.runner import memory
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runner.progress import say, working_on
 from infogoal_jax.runs import checkpoint
@@ -159,19 +159,11 @@ def goals_in_words(goals: int, starts: int) -> str:
     return f"{counted(goals, 'goal')} x {counted(starts, 'start')}"
 
 
-def print_summary(sweep: training.RunResult) -> None:
-    """Print what a run of the host loop came to."""
-    show(load_run(sweep.folder), sweep.diverged, Console())
-
-
 def print_run(folder: Path, console: Console | None = None) -> None:
-    """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
-    run = load_run(folder)
-    show(run, diverged_seeds(run.folder), console or Console())
-
-
-def show(run: Run, diverged: dict[int, int], console: Console) -> None:
-    """Print the table of the last evaluation, then a line for each of the other things to know."""
+    """Print the table of the last evaluation of the run in this folder, then a line for each of the other things to
+    know. Raises `UserError` if there is no run, or it has no evaluation yet."""
+    run, console = load_run(folder), console or Console()
+    diverged = diverged_seeds(run.folder)
     evaluations, epochs = (table_of(run.folder, name, diverged) for name in ("evaluations", "epochs"))
     left, acted = len(evaluations.seeds), "collect/valid" in epochs.values  # Who learns offline collects nothing.
     last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0

@@ -248,7 +248,7 @@ def test_processes_part_between_training_and_figures(number, tmp_path, monkeypat
     monkeypatch.setattr(distributed, "is_writer", lambda: number == 0)
     monkeypatch.setattr(training, "run", lambda *arguments, **named: done.append("trained") or sweep)
     monkeypatch.setattr(jax.distributed, "shutdown", lambda: done.append("parted"))
-    monkeypatch.setattr(summary, "print_summary", lambda sweep: done.append("summed up"))
+    monkeypatch.setattr(summary, "print_run", lambda folder: done.append("summed up"))
     monkeypatch.setattr(figures, "draw_figures", lambda folder, env: done.append("drawn") or [])
     words = [
         "--distributed",

@@ -15,7 +15,7 @@ from infogoal_jax.envs.recordings import with_recordings
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures, read_subject
-from infogoal_jax.report.summary import evaluate_run, print_summary
+from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import policy_video
 from infogoal_jax.runner import training
 from infogoal_jax.runner.search import tune
@@ -36,7 +36,7 @@ def test_what_nobody_can_act_in_is_not_evaluated(tmp_path, capsys):
     config = dataclasses.replace(config, agent=dataclasses.replace(config.agent, hidden=(8,)))
     found = training.run(config, [0], tmp_path / "run")
     assert "success_rate" not in (tmp_path / "run" / "evaluations.csv").read_text()
-    print_summary(found)
+    print_run(found.folder)
     assert "not evaluated: there are recordings alone" in " ".join(capsys.readouterr().out.split())
     assert draw_figures(found.folder) == [] and draw_comparison([found.folder], tmp_path / "loss.png").exists()
     assert main(["pack", str(found.folder), "--out", str(tmp_path / "run.zip")]) == 0

@@ -117,7 +117,7 @@ def test_a_low_level_that_was_stopped_goes_on_as_one(tmp_path, monkeypatch, caps
         return SimpleNamespace(stopped=True)
 
     monkeypatch.setattr(training, "run", stopped)
-    monkeypatch.setattr(summary, "print_summary", lambda run: None)
+    monkeypatch.setattr(summary, "print_run", lambda folder: None)
     assert main(["pretrain", "fetch_reach", "--out", str(tmp_path / "low")]) == 130
     onward = f"infogoal pretrain fetch_reach --resume {tmp_path / 'low'}"
     assert capsys.readouterr().out == f"Stopped. Go on with: {onward}\n" and told == [onward]
