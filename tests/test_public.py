@@ -503,8 +503,8 @@ CALLS = {
     ),
     "envs.from_recordings": Call(
         envs.from_recordings,
-        {"episodes": Episodes(**WALK), "held_out": None, "scaled": False, "seen": None},
-        {"episodes": never, "held_out": lambda value: none(value) or value is zero, "scaled": flag, "seen": none},
+        {"episodes": Episodes(**WALK), "held_out": None, "seen": None},
+        {"episodes": never, "held_out": lambda value: none(value) or value is zero, "seen": none},
     ),
     "envs.from_jaxgcrl": Call(envs.from_jaxgcrl, {"name": ""}, {"name": never}),
     "of_arrays": Call(

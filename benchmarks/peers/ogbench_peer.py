@@ -379,12 +379,13 @@ def our_task(data: Path, dataset: str, held_out: list[int], image_goals: bool) -
     if not held_out:
         return envs.from_recordings(data, seen=seen)
     places, centres, distance = places_of(dataset, held_out)
-    return envs.from_recordings(
-        data,
-        held_out=lambda goal: (jnp.abs(goal[places] - centres) < distance).all(-1).any(),
-        scaled=not image_goals,
-        seen=seen,
-    )
+
+    def is_near(goal):
+        return (jnp.abs(goal[places] - centres) < distance).all(-1).any()
+
+    task = envs.from_recordings(data, held_out=is_near, seen=seen)
+    # Without `seen` states are shown from -1 to 1 along each axis.
+    return task if image_goals else task.replace(goals=task.goals.replace(seen=None))
 
 
 def draw_places(dataset: str) -> Callable[[Any], Any]:

@@ -118,23 +118,20 @@ def from_recordings(
     episodes: Episodes | str | os.PathLike,
     *,
     held_out: Callable[[jax.Array], jax.Array] | None = None,
-    scaled: bool = False,
     seen: Callable[[jax.Array], jax.Array] | None = None,
 ) -> GoalTask:
     """A task to be learned offline from recordings alone, as OGBench has it: goals are whole states. What is learned is
     judged in an environment elsewhere (docs/reference/datasets.md).
 
     episodes: `Episodes` or the file of them, whose observations are vectors. held_out: says of a goal float32 [F]
-    whether it is kept out of training. scaled: whether the goal encoder sees goals from -1 to 1 instead of as they are.
-    seen: what it sees of goals float32 [..., F] in their place, such as pictures uint8 [..., H, W, C] that it draws.
+    whether it is kept out of training. seen: what the goal encoder sees of goals float32 [..., F] instead of them as
+    they are, such as pictures uint8 [..., H, W, C] that it draws.
 
     Raises `UserError` for recordings of images, and for what `with_recordings` refuses.
     """
     if isinstance(episodes, str | os.PathLike):
         episodes = load(episodes)
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give a file, or Episodes")
-    checks.flag(scaled, "scaled")
-    require(not (scaled and seen is not None), "scaled", scaled, "seen says what is seen of goals; give one of both")
     states = episodes.observations
     require(
         states.ndim == 2,
@@ -146,7 +143,7 @@ def from_recordings(
         checks.function(held_out, "held_out", 1, "give a function of a goal, or leave it out")
     with np.errstate(over="ignore"):  # Corners that are not finite are refused.
         margin = np.maximum(MARGIN, 1e-5 * np.abs(states).max(0)).astype(np.float32)
-    seen = None if scaled else jnp.asarray if seen is None else seen
+    seen = jnp.asarray if seen is None else seen
     with renamed(use_of="held_out"):
         space = GoalBox.of(states.min(0) - margin, states.max(0) + margin, use_of=held_out, seen=seen, num_evaluated=1)
     alone = dataclasses.replace(episodes, achieved_goals=None, desired_goals=None)

@@ -578,7 +578,6 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
     assert np.array_equal(rows.record, rows.observation) and rows.valid.sum() == episodes.lengths.sum()
     goal = jnp.asarray(SIDE[3])
     assert task.reached(goal, goal) and np.array_equal(task.goals.inputs_of(goal), goal)
-    assert np.abs(from_recordings(episodes, scaled=True).goals.inputs_of(jnp.asarray(SIDE))).max() <= 1
 
 
 def test_goals_are_drawn_from_recorded_places_alone():
@@ -671,8 +670,6 @@ def test_goals_of_recorded_states_are_shown_as_pictures():
     task = from_recordings(of_arrays(recorded()), seen=spotted)
     shown = task.goals.inputs_of(jnp.asarray(recorded()["observations"]))
     assert shown.shape[1:] == (8, 8, 3) and np.array_equal(shown[:, 0, 0, 0], recorded()["observations"][:, 0])
-    with pytest.raises(UserError, match=r"^scaled = True: seen says what is seen"):
-        from_recordings(of_arrays(recorded()), seen=spotted, scaled=True)
     with pytest.raises(UserError, match=r"^seen = 'float32 \[\]'"):
         from_recordings(of_arrays(recorded()), seen=lambda goals: goals[..., 0])
 
