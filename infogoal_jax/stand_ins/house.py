@@ -15,7 +15,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import re
 import sys
 import tempfile
 from pathlib import Path
@@ -32,6 +31,7 @@ from infogoal_jax.stand_ins.house_layout import HEADINGS, House
 from infogoal_jax.stopping import temporary
 
 GENERATOR_VERSION = 1
+SCENE = "Home_101_1"
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
 JPEG_QUALITY = 70
 LEAST_PIXELS = 4  # objects with fewer visible pixels are not annotated
@@ -99,36 +99,22 @@ def _build_cached(folder: Path, seed: int) -> None:
 
 
 def build_house(
-    out_dir: str | os.PathLike,
-    seed: int = 0,
-    scene: str = "Home_101_1",
-    *,
-    node_spacing: float = 0.6,
-    image_width: int = 160,
-) -> Path:
-    """Build one scene under `out_dir`, which may hold other scenes already; returns the scene's folder.
+    out_dir: str | os.PathLike, seed: int = 0, *, node_spacing: float = 0.6, image_width: int = 160
+) -> None:
+    """Build the house as the one scene of a dataset in this folder.
 
     seed: of the layout and the textures; the same seed writes the same files.
-    scene: Home_NNN_N or Office_NNN_N.
     node_spacing: metres between nodes, 0.4 to 1.2.
     image_width: pixels, at least 32; the images are 16:9.
-    Raises `UserError` where an argument is out of range or the scene exists already.
     """
-    if not re.fullmatch(r"(Home|Office)_\d{3}_\d", scene):
-        raise UserError(f"scene = {scene!r}: must be like Home_101_1 (Home or Office, three digits, one digit)")
-    if not 0.4 <= node_spacing <= 1.2:
-        raise UserError(f"node_spacing = {node_spacing}: must be 0.4 to 1.2 metres")
-    if image_width < 32:
-        raise UserError(f"image_width = {image_width}: must be at least 32 pixels")
     root = Path(out_dir)
-    folder = root / scene
-    if folder.exists() and any(folder.iterdir()):
-        raise UserError(f"{folder}: exists already; choose another folder or scene name")
-    (folder / "jpg_rgb").mkdir(parents=True, exist_ok=True)
+    folder = root / SCENE
+    (folder / "jpg_rgb").mkdir(parents=True)
 
     house = house_layout.layout(seed, node_spacing)
     camera = house_render.Camera(image_width, round(image_width * 9 / 16))
-    names = [image_name(scene, index) for index in range(len(house.nodes) * HEADINGS)]
+    # Fifteen digits: building (0: Home), scene, scan, image index, camera 01, kind 01 (colour).
+    names = [f"01011{index + 1:06d}0101.jpg" for index in range(len(house.nodes) * HEADINGS)]
     boxes, surfaces = house_boxes.furnish(house, seed)
     levels = house_render.texture_levels(
         house_textures.paint(surfaces, [*(r.name for r in house.rooms), "corridor"], seed)
@@ -149,13 +135,6 @@ def build_house(
         (root / name).write_text("".join(f"{n} {i}\n" for n, i in INSTANCE_IDS.items()), encoding="utf-8")
     note = {"generator": "infogoal data build house", "version": GENERATOR_VERSION, "seed": seed}
     (root / "synthetic.json").write_text(json.dumps(note) + "\n", encoding="utf-8")
-    return folder
-
-
-def image_name(scene: str, index: int) -> str:
-    """Fifteen digits: building, scene, scan, image index, camera 01, kind 01 (colour)."""
-    building, number, scan = scene.split("_")
-    return f"{0 if building == 'Home' else 1}{number}{scan}{index + 1:06d}0101.jpg"
 
 
 def difficulty(visible_fraction: float) -> int:

@@ -134,24 +134,6 @@ def test_pose_file_is_consistent(tiny_house):
         np.testing.assert_allclose(record["R"][0, 0], 1 - 2 * y**2, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("argument", "match"),
-    [
-        ({"scene": "Flat_1"}, "scene = 'Flat_1'"),
-        ({"node_spacing": 3.0}, "node_spacing = 3.0"),
-        ({"image_width": 8}, "image_width = 8"),
-    ],
-)
-def test_bad_arguments_are_named(tmp_path, argument, match):
-    with pytest.raises(UserError, match=match):
-        house.build_house(tmp_path, **argument)
-
-
-def test_a_scene_is_not_overwritten(tiny_house):
-    with pytest.raises(UserError, match="exists already"):
-        house.build_house(tiny_house, **TINY_HOUSE)
-
-
 @pytest.fixture
 def cache(tiny_house, tmp_path, monkeypatch):
     """An empty cache, and a builder that takes no time: the seeds of the houses that it built."""
