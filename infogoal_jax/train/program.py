@@ -20,10 +20,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax import replay
+from infogoal_jax import checks, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
-from infogoal_jax.errors import require
-from infogoal_jax.keys import fold, is_key
+from infogoal_jax.keys import fold
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.contracts import check_simulated, with_checked_inputs
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate_settings
@@ -73,13 +72,7 @@ class Train:
         env = self.env if env is None else env
         self.check_env(env)
         env = jax.tree.map(jnp.asarray, env)  # Recordings wait outside of the device until now.
-        require(
-            isinstance(key, jax.Array)
-            and (key.shape == () if is_key(key) else key.dtype == jnp.uint32 and key.ndim == 1),
-            "key",
-            key,
-            "give one key, such as jax.random.key(0); for several see jax.vmap",
-        )
+        checks.key(key)
 
         def step(state, numbers):
             state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
