@@ -116,9 +116,9 @@ def still_scene(task: Task, size: tuple[int, int]) -> tuple[Camera, Picture]:
     return camera, picture
 
 
-def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640), caption: bool = True) -> np.ndarray:
-    """A picture uint8 [H, W, 3] (RGB) of one state. size: pixels (height, width); caption: says the step and the
-    distance to the goal.
+def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)) -> np.ndarray:
+    """A picture uint8 [H, W, 3] (RGB) of one state, which says the step and the distance to the goal. size: pixels
+    (height, width).
 
     Raises `UserError` for a size that cannot be drawn, or a batch of states.
     """
@@ -143,9 +143,8 @@ def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)
         cast(picture, camera, shape)
     raycast.cast_marker(picture, camera, marker, 0.72, 0.35)
     frame = raycast.developed(picture, camera)
-    if caption:
-        words = f"step {int(state.time)}   {100 * distance:.1f} cm to the goal" + ("   reached" if reached else "")
-        write_words(frame, words, REACHED if reached else JOINT)
+    words = f"step {int(state.time)}   {100 * distance:.1f} cm to the goal" + ("   reached" if reached else "")
+    write_words(frame, words, REACHED if reached else JOINT)
     return frame
 
 

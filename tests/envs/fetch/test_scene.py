@@ -83,7 +83,7 @@ def test_every_task_can_be_drawn_and_its_goal_is_seen_where_it_lies(task):
     # Before the arm, as the camera sees it.
     goal = jnp.asarray(env.workspace.mean(0) + np.array([0.1, -0.15, -0.15]), jnp.float32)
     state = state.replace(desired_goal=goal)
-    picture = draw_fetch(env, state, SIZE, caption=False)
+    picture = draw_fetch(env, state, SIZE)
     assert picture.shape == (*SIZE, 3) and picture.dtype == np.uint8
     camera, _ = scene.still_scene(env.task, SIZE)
     column, row = np.round(camera.project(np.asarray(goal)[None])[0] / raycast.SUPERSAMPLING - 0.5).astype(int)
@@ -106,7 +106,7 @@ def test_the_arm_is_one_chain_that_ends_where_the_observation_says():
 def test_the_goal_turns_green_when_it_is_reached():
     env, state = start("fetch_reach")
     there = state.replace(desired_goal=env.achieved(state) + jnp.array([0.0, 0.0, 0.04]))
-    away, near = (draw_fetch(env, which, SIZE, caption=False).astype(int) for which in (state, there))
+    away, near = (draw_fetch(env, which, SIZE).astype(int) for which in (state, there))
     assert (away[..., 0] - away[..., 1] > 60).any() and not (near[..., 0] - near[..., 1] > 60).any()
 
 
