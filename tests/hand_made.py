@@ -68,11 +68,8 @@ def scenes(image_size: int = 8) -> SearchScenes:
                 visible[state, [room, ROOMS + room]] = True
     images = np.random.default_rng(0).integers(0, 256, (4 * places, image_size, image_size), dtype=np.uint8)
     position = np.zeros((4 * places, 3), np.float32)
-    names = tuple(f"{state:06d}.jpg" for state in range(4 * places))
     scene = np.zeros(4 * places, np.int32)
-    return SearchScenes(
-        images, next_state, visible, position, scene, names, ("hand-made",), SPLIT.objects, "hand-made graph"
-    )
+    return SearchScenes(images, next_state, visible, position, scene, "hand-made graph")
 
 
 def environment(episode_length: int = 20, memory: bool = False, position: np.ndarray | None = None) -> ObjectSearch:

@@ -18,14 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.data.pictures import CHECK_HINT, scene_pictures
-from infogoal_jax.errors import UserError, nearest, shown, typed
+from infogoal_jax.errors import UserError, counted, nearest, shown, typed
 from infogoal_jax.files import from_json, read_text
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 # A box counts as a clear view where its shorter side is this share of the image height (119 pixels of the real 1080).
 DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
-SMALLEST_IMAGE, LARGEST_IMAGE = 4, 512  # Sides of the grey images, in pixels.
 MAPS = ("all_instance_id_map.txt", "instance_id_map.txt")
 SCENE_NAME = re.compile(r"(Home|Office)_\d{3}_\d")
 Report = Callable[[str, str], None]
@@ -43,8 +42,7 @@ class Annotation(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class SearchScenes:
-    """S states (images) of one or more scenes and N objects. The names are of files, of scene folders and of objects;
-    source: what was read, in words."""
+    """S states (images) of one or more scenes and N objects, as they were asked for."""
 
     images: np.ndarray
     """uint8 [S, H, W], grey."""
@@ -55,11 +53,9 @@ class SearchScenes:
     position: np.ndarray
     """float32 [S, 3], plan x and y (m) and heading (radians), counter-clockwise from x; NaN where unknown."""
     scene: np.ndarray
-    """int32 [S], index into `scene_names`."""
-    image_names: tuple[str, ...]
-    scene_names: tuple[str, ...]
-    object_names: tuple[str, ...]
+    """int32 [S], number of the scene among those that were read."""
     source: str
+    """What was read, in words."""
 
 
 def load(
@@ -81,10 +77,6 @@ def load(
     incomplete, or no state shows one of the objects.
     """
     root, objects = Path(root), tuple(objects)
-    if not SMALLEST_IMAGE <= image_size <= LARGEST_IMAGE:
-        raise UserError(f"image_size = {image_size!r}: must be {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels")
-    if not 0 <= min_box_size < 1:
-        raise UserError(f"min_box_size = {min_box_size!r}: must be a share of the image height, from 0 to below 1")
 
     def stop(where: str, problem: str) -> None:
         raise UserError(f"{root / where}: {problem}; {CHECK_HINT.format(typed(root))}")
@@ -107,14 +99,13 @@ def load(
     if not names or len(set(names)) < len(names):
         raise UserError(f"scenes = {names!r}: give at least one, each once; {root} has {', '.join(found)}")
 
-    parts, image_names, start = [], [], 0
+    parts, start = [], 0
     for index, name in enumerate(names):
         annotations = read_annotations(root / name, stop)
         images, sizes, position = scene_pictures(root / name, list(annotations), image_size, cache_dir)
         visible = _in_clear_view(annotations, sizes, columns, min_box_size, max_difficulty)
         next_state = _moves(annotations) + start
         parts.append((images, next_state, visible, position, np.full(len(images), index, np.int32)))
-        image_names.extend(annotations)
         start += len(images)
     images, next_state, visible, position, scene = (np.concatenate(column) for column in zip(*parts, strict=True))
     unseen = [name for name, seen in zip(objects, visible.any(0), strict=True) if not seen]
@@ -123,8 +114,8 @@ def load(
             f"objects: {', '.join(unseen)} in clear view from no image of {', '.join(names)}; leave out, add scenes, "
             f"or lower min_box_size = {min_box_size} (max_difficulty = {max_difficulty})"
         )
-    source = f"{_origin(root)}, {len(names)} scene{'s' if len(names) > 1 else ''}, {len(images)} images"
-    return SearchScenes(images, next_state, visible, position, scene, tuple(image_names), tuple(names), objects, source)
+    source = f"{_origin(root)}, {counted(len(names), 'scene')}, {len(images)} images"
+    return SearchScenes(images, next_state, visible, position, scene, source)
 
 
 def find_scenes(root: Path, report: Report) -> tuple[str, ...]:

@@ -71,17 +71,14 @@ def load_encoder(folder: str | os.PathLike | None = None) -> Encoder:
     )
 
 
-def encode(encoder: Encoder, texts: Sequence[str], batch_size: int = 32) -> np.ndarray:
+def encode(encoder: Encoder, texts: Sequence[str]) -> np.ndarray:
     """Embeddings of M texts, float32 [M, hidden size], 384 for all-MiniLM-L6-v2: the mean of the last layer over a
-    text's tokens, at length 1 (Reimers and Gurevych 2019). batch_size: texts computed together. Raises `UserError` for
-    an empty text."""
+    text's tokens, at length 1 (Reimers and Gurevych 2019). Raises `UserError` for an empty text."""
     if isinstance(texts, str):
         raise UserError(f"encode takes a list of texts, not one text: [{texts!r}]")
     if any(not one.strip() for one in texts):
         raise UserError("an empty text has no embedding")
-    return encoder.transformer.encode(
-        list(texts), batch_size=batch_size, normalize_embeddings=True, show_progress_bar=False
-    )
+    return encoder.transformer.encode(list(texts), normalize_embeddings=True, show_progress_bar=False)
 
 
 def embed_file(

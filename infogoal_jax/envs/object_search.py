@@ -24,8 +24,7 @@ PLAN = 16
 """Cells along a side of the plan that a memory is."""
 HERE = 255
 """Level of the cell in which the robot is."""
-LEAST, MOST = active_vision.SMALLEST_IMAGE, active_vision.LARGEST_IMAGE
-IMAGE_SIDES = Within(f"[{LEAST}, {MOST}]", f"give at least {LEAST} and at most {MOST} pixels")
+IMAGE_SIDES = Within("[4, 512]", "give at least 4 and at most 512 pixels")
 """Sides of the images that can be read, in pixels."""
 
 
