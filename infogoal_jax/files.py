@@ -7,6 +7,7 @@ program that writes there change anything outside of it. A file is whole at any 
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
 import secrets
@@ -17,13 +18,8 @@ from typing import Any, BinaryIO
 
 from infogoal_jax.stopping import temporary
 
-try:
-    import fcntl
-except ImportError:  # Windows.
-    fcntl = None
-
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-AT_ONCE = getattr(os, "O_NONBLOCK", 0)
+NO_LINK = os.O_NOFOLLOW | os.O_CLOEXEC
+AT_ONCE = os.O_NONBLOCK
 """A pipe that takes a file's place after it was looked at is opened without waiting for its other end."""
 MOST = 2**31
 """Bytes of a file that is read into memory, where its kind is not known to be larger."""
@@ -56,7 +52,7 @@ def check_kind(mode: int, path: Path) -> None:
 def open_to_read(path: str | os.PathLike) -> BinaryIO:
     """A regular file, opened for reading. Raises `OSError`."""
     path = regular(path)
-    descriptor = os.open(path, os.O_RDONLY | AT_ONCE | (NO_LINK & ~getattr(os, "O_NOFOLLOW", 0)))
+    descriptor = os.open(path, os.O_RDONLY | AT_ONCE | os.O_CLOEXEC)
     file = open(descriptor, "rb")  # noqa: SIM115 (the caller closes it)
     try:
         check_kind(os.fstat(file.fileno()).st_mode, path)
@@ -170,8 +166,6 @@ def open_lock(path: Path, make: bool = True) -> BinaryIO:
 
 def try_lock(file: Any) -> bool:
     """Take the lock of an open file. False if another process has it. Raises `OSError` where there are no locks."""
-    if fcntl is None:
-        raise OSError(errno.ENOSYS, "no locks on this platform")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -180,5 +174,5 @@ def try_lock(file: Any) -> bool:
 
 
 def has_no_locks(error: OSError) -> bool:
-    """Whether an error of `try_lock` says that the platform or the file system knows no locks."""
+    """Whether an error of `try_lock` says that the file system knows no locks."""
     return error.errno in NOT_SUPPORTED

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
 """What asks to stop: Ctrl-C, the system or a scheduler, a closed terminal, a scheduler before its limit of time."""
 STATUS = 130
 """Exit status of a command that was stopped."""
@@ -46,7 +46,7 @@ class StopRequest:
 
     def __call__(self, number: int, frame) -> None:
         """Handle a signal."""
-        if number == getattr(signal, "SIGHUP", None):
+        if number == signal.SIGHUP:
             forget_terminal()
         now = time.monotonic()
         if now - self.counted < ECHO:
@@ -81,9 +81,8 @@ def stop_on_signal(at_once: Callable[[StopRequest], None] | None = None) -> Iter
         return
     request, before = StopRequest(at_once or note_then_raise()), {}
     try:
-        for name in NAMES:
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+        for number in SIGNALS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
                 before[number] = signal.signal(number, request)
     except ValueError:  # Not the main thread: Python keeps signals there.
         yield request
