@@ -20,7 +20,7 @@ import numpy as np
 
 from infogoal_jax import checks, envs
 from infogoal_jax.envs.contract import check_contract
-from infogoal_jax.envs.environment import Environment, failed_in
+from infogoal_jax.envs.environment import Environment, draws_itself, failed_in
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
@@ -305,7 +305,7 @@ def picture(env: Environment, state: Any, image: np.ndarray) -> np.ndarray:
         from infogoal_jax.envs.fetch.scene import draw_fetch
 
         return draw_fetch(env, state)
-    if getattr(type(env), "draw", Environment.draw) is not Environment.draw:
+    if draws_itself(env):
         return np.array(drawn(env, state))
     remedy = "the agent sees no images in this task; write draw(state), or leave it out"
     require(image.dtype == np.uint8, "render_mode", "rgb_array", remedy)
@@ -521,10 +521,6 @@ def id_of(task: str) -> str:
     return "infogoal/" + "".join(word.capitalize() for word in task.split("_")) + "-v0"
 
 
-IDS = {name: id_of(name) for name in envs.registry}
-"""The Gymnasium ids of the package's tasks."""
-
-
 def register(task: str, reward_type: str = "sparse") -> str:
     """Make a task known to Gymnasium, unless it is. Returns its id, in which dense rewards are named."""
     name = id_of(task)
@@ -544,7 +540,7 @@ def register(task: str, reward_type: str = "sparse") -> str:
     return gymnasium_id
 
 
-for name in IDS:
+for name in envs.registry:
     register(name)
 for name in TASKS:
     register(name, "dense")

@@ -10,7 +10,7 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.checks import Spec
-from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.environment import Environment, draws_itself
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.field_types import LARGEST_FLOAT, LARGEST_WHOLE
@@ -92,7 +92,7 @@ def check_functions(env: Environment) -> None:
     check_stored(env, state)
     if env.recorded is not None:
         check_recorded(env, state)
-    if getattr(type(env), "draw", Environment.draw) is not Environment.draw:
+    if draws_itself(env):
         checks.function(env.draw, "env.draw", 1, "give a function of a state")
         picture = checks.traced("env.draw", env.draw, state)
         checks.returned(picture, "env.draw", Spec(("H", "W", 3), "uint8"))

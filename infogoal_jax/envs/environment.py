@@ -186,6 +186,11 @@ def failed_in(env: Environment, state: Any) -> jax.Array:
     return env.failed(state) if env.can_fail else jnp.zeros((), bool)
 
 
+def draws_itself(env: Environment) -> bool:
+    """Whether the task makes pictures of its states."""
+    return type(env).draw is not Environment.draw
+
+
 def has_image_goals(env: Environment) -> bool:
     """Whether goals of this environment are images that can be corrupted, and are shown as these."""
     return env.train_backgrounds is not None and not env.goals.by_index

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax import checks, files
-from infogoal_jax.envs.environment import Environment, failed_in, has_image_goals
+from infogoal_jax.envs.environment import draws_itself, failed_in, has_image_goals
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
@@ -175,7 +175,7 @@ def painter_of(env: Any, height: int) -> Painter | None:
         low, high = HEIGHTS
         require(low <= height <= high, "height", height, f"give {low} to {high} pixels")
         return Painter(scene, 25)
-    if getattr(type(task), "draw", Environment.draw) is Environment.draw:
+    if not draws_itself(task):
         return None
     draw = jax.jit(task.draw)
     return Painter(drawn, 10)

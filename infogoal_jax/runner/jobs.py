@@ -212,9 +212,10 @@ def run_plan(
     share one line of progress on a terminal or in a notebook. Raises `UserError`, without a change on the disk, for a
     folder that holds something else, and for what cannot be run.
     """
-    if not resume:
+    if resume:
+        check(config, plan)
+    else:
         start(config, plan, folder)
-    check(config, plan)
     config = configuration.located(config)  # Workers may be in other folders.
     jobs = jobs_of(config, plan)
     if resume and ((folder / NAME).exists() or not all(job.is_done(folder) for job in jobs)):

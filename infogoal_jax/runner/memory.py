@@ -183,7 +183,7 @@ def too_large(config: Any, usual: Any, needed: int, memory: int) -> UserError:
     usual configuration; where none is the recordings that are learned from, or the task."""
     needs = f"training needs {needed / GIB:,.1f} GiB, {room_in_words(memory)}"
     fields = list(larger_fields(config, usual))
-    recordings = getattr(getattr(config, "env", None), "dataset", "")
+    recordings = getattr(config.env, "dataset", "")
     if not fields and recordings:
         remedy = "leave out some of its episodes, or take a larger device"
         return UserError(f"env.dataset = {recordings!r}: {needs}: {remedy}")

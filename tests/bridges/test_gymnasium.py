@@ -33,10 +33,10 @@ def test_gymnasium_finds_nothing_to_warn_of(reach):
 
 @pytest.mark.parametrize("task", list(TASKS))
 def test_each_task_is_registered_with_the_reference_s_spaces(task):
-    env = gymnasium.make(bridge.IDS[task])
-    assert isinstance(env.unwrapped, bridge.TaskGymnasium) and env.spec.id == bridge.IDS[task]
-    assert env.spec.max_episode_steps == gymnasium.spec(bridge.IDS[task]).max_episode_steps == 50
-    dense = gymnasium.make(bridge.IDS[task].replace("-v0", "Dense-v0")).unwrapped
+    env = gymnasium.make(bridge.id_of(task))
+    assert isinstance(env.unwrapped, bridge.TaskGymnasium) and env.spec.id == bridge.id_of(task)
+    assert env.spec.max_episode_steps == gymnasium.spec(bridge.id_of(task)).max_episode_steps == 50
+    dense = gymnasium.make(bridge.id_of(task).replace("-v0", "Dense-v0")).unwrapped
     assert (env.unwrapped.reward_type, dense.reward_type) == ("sparse", "dense")
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float32)
     shapes = {name: space.shape for name, space in env.observation_space.items()}

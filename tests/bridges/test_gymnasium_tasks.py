@@ -40,12 +40,12 @@ def vector():
     ],
 )
 def test_gymnasium_finds_nothing_to_warn_of(make):
-    check_env(gymnasium.make(bridge.IDS["object_search"], task=make(), render_mode="rgb_array").unwrapped)
+    check_env(gymnasium.make(bridge.id_of("object_search"), task=make(), render_mode="rgb_array").unwrapped)
 
 
 def test_the_tasks_are_registered_and_are_goal_environments():
     for name in ("object_search", "object_manipulation", "embodied_qa"):
-        spec = gymnasium.spec(bridge.IDS[name])
+        spec = gymnasium.spec(bridge.id_of(name))
         assert spec.kwargs == {"task": name, "timed": False} and "TaskGymnasium" in spec.entry_point
         assert spec.max_episode_steps == envs.registry[name].config().episode_length
     env = TaskGymnasium(hand_made.environment())
@@ -182,7 +182,7 @@ def length_of(env) -> int:
     raise AssertionError("no episode was truncated")
 
 
-ID = bridge.IDS["object_search"]
+ID = bridge.id_of("object_search")
 
 
 @pytest.mark.parametrize("steps", [7, 30])
@@ -202,10 +202,10 @@ def test_without_gymnasium_the_task_s_limit_holds(rooms):
 def test_two_limits_are_refused():
     longer = envs.registry["fetch_reach"].config(episode_length=100, ends_at_goal=False)
     with pytest.raises(UserError, match="config.episode_length = 100: two limits; give max_episode_steps=100"):
-        gymnasium.make(bridge.IDS["fetch_reach"], config=longer)
+        gymnasium.make(bridge.id_of("fetch_reach"), config=longer)
     with pytest.raises(UserError, match="config.episode_length = 100, max_episode_steps = 50: two limits"):
-        gymnasium.make_vec(bridge.IDS["fetch_reach"], 2, config=longer)
-    batch = gymnasium.make_vec(bridge.IDS["fetch_reach"], 2, config=longer, max_episode_steps=100)
+        gymnasium.make_vec(bridge.id_of("fetch_reach"), 2, config=longer)
+    batch = gymnasium.make_vec(bridge.id_of("fetch_reach"), 2, config=longer, max_episode_steps=100)
     assert batch.env.episode_length == 100
     env = bridge.make("fetch_reach", config=longer)
     assert env.env.episode_length == env.spec.max_episode_steps == 100

@@ -47,7 +47,7 @@ def test_a_task_that_draws_itself_is_rendered():
 
 def test_every_task_with_continuous_goals_is_registered():
     for task in ("point_maze", "reacher", *(f"fetch_{name}_positions" for name in ("reach", "push", "slide"))):
-        spec = gymnasium.spec(bridge.IDS[task])
+        spec = gymnasium.spec(bridge.id_of(task))
         assert spec.kwargs["task"] == task and spec.max_episode_steps == envs.registry[task].config().episode_length
 
 
