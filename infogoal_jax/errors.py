@@ -4,7 +4,7 @@ worded with."""
 import contextlib
 import re
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 LONGEST = 200
@@ -71,6 +71,12 @@ def a(noun: str) -> str:
 def counted(count: int, noun: str) -> str:
     """`1 error`, `2 errors`."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def counted_each(counts: Sequence[int], noun: str) -> str:
+    """Of several counts: `2 seeds` where all are 2, else `2 to 5 seeds`."""
+    fewest, most = min(counts), max(counts)
+    return counted(most, noun) if fewest == most else f"{fewest} to {counted(most, noun)}"
 
 
 ALIKE, PART = 0.7, 0.8

@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from infogoal_jax.errors import counted_each
 from infogoal_jax.goal_uses import TEST
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper.files import Result
@@ -87,19 +88,13 @@ def finding(
         return Finding(None, "no runs", above, faults_of(*rows))
     seeds = [len(each) for scores in values for each in scores]
     few = (f"fewer than {LEAST_SEEDS} seeds",) if min(seeds) < LEAST_SEEDS else ()
-    over = f"{count_of(seeds, 'seed')} on {count_of([len(scores) for scores in values], 'goal set')}"
+    over = f"{counted_each(seeds, 'seed')} on {counted_each([len(scores) for scores in values], 'goal set')}"
     return Finding(over_tasks(values), f"{words}; {over}", above, faults_of(*rows) + few, decimals)
 
 
 def lacking_rows(found: Finding) -> Finding:
     """The finding, of whose rows some did not run."""
     return dataclasses.replace(found, faults=(*found.faults, "rows are missing"))
-
-
-def count_of(counts: Sequence[int], name: str) -> str:
-    """`3 goal sets`, `1 to 3 goal sets`."""
-    low, high = min(counts), max(counts)
-    return f"{low if low == high else f'{low} to {high}'} {name}{'s' * (high > 1)}"
 
 
 def faults_of(*rows: Row | None) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from infogoal_jax import presets
-from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.errors import UserError, counted_each, require
 from infogoal_jax.files import regular
 from infogoal_jax.report.runs import Run, RunTable
 from infogoal_jax.report.statistics import mean_interval
@@ -114,7 +114,7 @@ def empty_figure(title: str, below: tuple[str, ...], size: tuple[float, float]) 
 def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
     """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below.
     shown: instead of the seeds."""
-    config, seeds = subject.run.config, shown or seeds_in_words([len(subject.evaluations.seeds)])
+    config, seeds = subject.run.config, shown or curves_in_words([len(subject.evaluations.seeds)])
     left_out = "".join(
         f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items()
     )
@@ -122,11 +122,10 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
 
 
-def seeds_in_words(counts: Sequence[int]) -> str:
+def curves_in_words(counts: Sequence[int]) -> str:
     """What `draw_curve` draws of curves of so many seeds each, for the small print."""
-    fewest, most = min(counts), max(counts)
-    number = counted(most, "seed") if fewest == most else f"{fewest} to {most} seeds"
-    return "1 seed" if most == 1 else f"mean of {number}{interval_in_words(counts)}"
+    number = counted_each(counts, "seed")
+    return number if max(counts) == 1 else f"mean of {number}{interval_in_words(counts)}"
 
 
 def interval_in_words(counts: Sequence[int]) -> str:

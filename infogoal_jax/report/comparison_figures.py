@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from infogoal_jax import checks, presets
-from infogoal_jax.errors import require, require_known
+from infogoal_jax.errors import counted, require, require_known
 from infogoal_jax.loading import load_environment, traits_declared
 from infogoal_jax.report.canvas import (
     ANY,
@@ -22,12 +22,12 @@ from infogoal_jax.report.canvas import (
     SHARE,
     USE_TITLES,
     check_format,
+    curves_in_words,
     draw_curve,
     empty_figure,
     figure_style,
     finish_share_axis,
     save,
-    seeds_in_words,
 )
 from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, success_within
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, evaluated_masks, load_run, table_of
@@ -190,15 +190,14 @@ def small_print(compared: list[Compared], titles: list[str], *more: str) -> tupl
         seeds = [f"seed {seed} diverged at epoch {epoch} and" for seed, epoch in each.diverged.items()]
         whole = ["every seed diverged, and it"]
         left_out += [f"{title}: {words} is left out" for words in (seeds if each.is_drawn else whole)]
-    seeds = seeds_in_words([len(each.evaluations.seeds) for each in compared if each.is_drawn])
+    seeds = curves_in_words([len(each.evaluations.seeds) for each in compared if each.is_drawn])
     data = "; ".join(dict.fromkeys(each.run.data for each in compared))
     return "; ".join((seeds, *left_out, *more)), f"data: {data}"
 
 
 def entry_of(title: str, table: RunTable) -> str:
     """A run in the legend."""
-    count = len(table.seeds)
-    return f"{title}, {count} seed{'s' if count > 1 else ''}"
+    return f"{title}, {counted(len(table.seeds), 'seed')}"
 
 
 class Curve(NamedTuple):

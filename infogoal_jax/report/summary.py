@@ -15,7 +15,7 @@ from rich.table import Table
 
 from infogoal_jax import checks, learners
 from infogoal_jax.envs.environment import has_image_goals
-from infogoal_jax.errors import counted, require
+from infogoal_jax.errors import counted, counted_each, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import USES
 from infogoal_jax.goals import GoalSpace
@@ -50,10 +50,9 @@ LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL 
 
 def seeds_in_words(*counts: int) -> str:
     """Of so many seeds each number is: `1 seed, no interval`, or `2 to 5 seeds, mean ± 95 % interval`."""
-    fewest, most = min(counts), max(counts)
-    if most < 2:
-        return "1 seed, no interval" if most else "no seed is left"
-    return f"{f'{fewest} to ' * (fewest < most)}{most} seeds, mean ± 95 % interval"
+    if max(counts) < 2:
+        return "1 seed, no interval" if max(counts) else "no seed is left"
+    return f"{counted_each(counts, 'seed')}, mean ± 95 % interval"
 
 
 def diverged_in_words(diverged: dict[int, int]) -> list[str]:

@@ -142,7 +142,7 @@ def test_figure_names_task_data_and_what_is_left_out(folders, env):
 )
 def test_the_small_print_counts_the_seeds_of_every_curve(counts, said):
     """An interval was said of all where the curve of most seeds had one."""
-    assert canvas.seeds_in_words(counts) == said
+    assert canvas.curves_in_words(counts) == said
 
 
 def test_bands_end_where_the_metric_does_and_begin_with_three_seeds(folders, env):
