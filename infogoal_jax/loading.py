@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from infogoal_jax import agents, checks, envs, exploration, learners, relabelling
 from infogoal_jax.agents import traits_of
@@ -353,7 +354,8 @@ def load_environment(config: TrainConfig, env: Any = None):
     if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
     if config.desired_goals == "all" and env.goals.finite:
-        env = env.with_goals(env.goals.replace(desired=env.goals.evaluated))
+        listed = np.flatnonzero(env.goals.listed_mask).astype(np.int32)  # A search evaluates some of them alone.
+        env = env.with_goals(env.goals.replace(desired=jax.device_put(listed)))
     if is_foreign(type(env.unwrapped)):
         check_goals(env)
     check_combination(config, env)

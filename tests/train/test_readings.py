@@ -12,6 +12,7 @@ from infogoal_jax import make_train, pairs, presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import load_environment
+from infogoal_jax.runner.search import scored_goals_only
 from infogoal_jax.train.dissimilar import sample_pairs_by_distance
 from infogoal_jax.train.experience import first_dissimilarity
 
@@ -24,6 +25,13 @@ def test_episodes_are_for_training_goals_or_for_all_that_are_evaluated(desired_g
     np.testing.assert_array_equal(goals, np.flatnonzero(masks.any(0)))
     np.testing.assert_array_equal(env.goals.desired_mask, masks.any(0))
     assert env.goals.training_goals.shape == (4,)  # What is scored as a training goal stays one.
+
+
+def test_a_search_desires_all_goals_too_though_it_evaluates_some_alone():
+    scored, _ = scored_goals_only(environment())
+    env = load_environment(config(desired_goals="all"), scored)
+    assert len(env.goals.evaluated) == 4
+    np.testing.assert_array_equal(env.goals.desired_mask, env.goals.train_mask | env.goals.test_mask)
 
 
 def test_an_arm_too_has_episodes_for_all_goals():
