@@ -324,7 +324,7 @@ def euler_angles(rotation: jax.Array) -> jax.Array:
 
 
 def make(name: str, config: FetchConfig) -> Fetch:
-    """The environment of a Fetch task. Raises `UserError` for an unknown name, and for untested versions of MuJoCo."""
+    """The environment of a Fetch task. Raises `UserError` for an unknown name."""
     config.check(None)
     task = find(name)
     setting = model.FAITHFUL if config.faithful else model.FAST

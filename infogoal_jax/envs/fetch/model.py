@@ -7,7 +7,6 @@ capsules.
 """
 
 import dataclasses
-import importlib.metadata
 from pathlib import Path
 
 import jax
@@ -21,7 +20,6 @@ from infogoal_jax.envs.fetch.contacts import Box, Capsule, Contacts
 from infogoal_jax.envs.fetch.multibody import Frames
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined, vectors
-from infogoal_jax.errors import UserError
 
 ARM_XML = Path(__file__).with_name("fetch.xml")
 
@@ -57,17 +55,6 @@ JOINT_INVERSE_WEIGHT = {
 FINGERS = ("right_finger", "left_finger")
 TRUNK = {"torso": (0.001256316, 0.003277019), "head_pan": (0.0, 0.0), "head_tilt": (0.060028835, 0.000072211)}
 """Joints of torso and head, with their positions and velocities at the start of every episode (as in tasks.py)."""
-
-
-def check_versions() -> None:
-    """Raise `UserError` unless MuJoCo and MJX are a tested pair: equal versions, at least 3.17 and below 4."""
-    mujoco_version, mjx_version = importlib.metadata.version("mujoco"), importlib.metadata.version("mujoco-mjx")
-    number = tuple(int(part) for part in mujoco_version.split(".")[:2])
-    remedy = "; install a tested pair: pip install 'mujoco>=3.17,<4' 'mujoco-mjx>=3.17,<4'"
-    if not (3, 17) <= number < (4, 0):
-        raise UserError(f"mujoco = {mujoco_version}: must be at least 3.17 and below 4{remedy}")
-    if mujoco_version.split(".")[:2] != mjx_version.split(".")[:2]:
-        raise UserError(f"mujoco-mjx = {mjx_version}: must be of the version of mujoco, {mujoco_version}{remedy}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,8 +114,7 @@ def table_of(task: Task) -> np.ndarray:
 
 
 def load(task: Task, setting: Setting) -> mujoco.MjModel:
-    """The robot, the table and the object of a task. Raises `UserError` for untested versions of MuJoCo."""
-    check_versions()
+    """The robot, the table and the object of a task."""
     spec = mujoco.MjSpec.from_file(str(ARM_XML))
     spec.option.timestep = setting.timestep
     table = table_of(task)

@@ -11,7 +11,6 @@ import pytest
 
 from infogoal_jax.envs.fetch import constraints, model, physics, solver
 from infogoal_jax.envs.fetch.tasks import TASKS
-from infogoal_jax.errors import UserError
 from infogoal_jax.runner.compilation import QUICKLY, known
 
 
@@ -267,15 +266,3 @@ def test_a_weld_of_longer_steps_moves_as_far():
     unchanged = np.linalg.matrix_power(constraints.step_map(1 / 0.02**2, 2 / 0.02, 0.005), 8)
     np.testing.assert_allclose(after[0], reference[0], rtol=1e-6)
     assert abs(unchanged[0, 0] - reference[0, 0]) > 0.02
-
-
-def test_untested_versions_of_mujoco_are_refused(monkeypatch):
-    """Too new, too old, or another version of MJX: the error names both and the remedy."""
-    for versions, message in (
-        ({"mujoco": "4.0.0", "mujoco-mjx": "3.17.0"}, "mujoco = 4.0.0: must be at least 3.17 and below 4"),
-        ({"mujoco": "3.7.0", "mujoco-mjx": "3.7.0"}, "mujoco = 3.7.0: must be at least 3.17"),
-        ({"mujoco": "3.18.0", "mujoco-mjx": "3.17.0"}, "mujoco-mjx = 3.17.0: must be of the version of mujoco, 3.18.0"),
-    ):
-        monkeypatch.setattr(model.importlib.metadata, "version", versions.__getitem__)
-        with pytest.raises(UserError, match=message):
-            model.check_versions()
