@@ -16,7 +16,6 @@ from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
 from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
-from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.keys import draw_chance, from_seed
 from infogoal_jax.shapes import aligned, with_rank
@@ -152,27 +151,10 @@ class Fetch(Environment):
         return self.begin_anew(object_key, self.sample_goal(goal_key))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> FetchState:
-        """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the workspace, unless it is
+        """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the goal space, unless it is
         traced."""
-        if not isinstance(goal, jax.core.Tracer):
-            self.check_goals(goal)
+        goal = goal if self.goals is None else self.goals.checked(goal, "goal", axes=0)
         return self.begin_anew(key, jnp.asarray(goal, jnp.float32))
-
-    def check_goals(self, goals) -> None:
-        """Raise `UserError` unless all goals [..., 3] lie in the workspace."""
-        goals = np.asarray(goals)
-        require(
-            goals.shape[-1:] == (3,), "goal", f"an array of shape {goals.shape}", "give positions of 3 numbers, in m"
-        )
-        low, high = self.workspace
-        inside = ((goals >= low) & (goals <= high)).all(-1)
-        if not inside.all():
-            first = goals.reshape(-1, 3)[np.flatnonzero(~inside.reshape(-1))[0]]
-            spans = ", ".join(f"{name} {a:.2f} to {b:.2f}" for name, a, b in zip("xyz", low, high, strict=True))
-            raise UserError(
-                f"goal = {np.round(first.astype(float), 3).tolist()}: lies outside of the workspace of "
-                f"{self.task.name}; give {spans} m"
-            )
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """A goal [3] (m): a training goal, or as the reference draws it where the robot knows no goal space."""
