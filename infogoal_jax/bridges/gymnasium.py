@@ -21,11 +21,10 @@ import numpy as np
 from infogoal_jax import checks, envs
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Environment, draws_itself, failed_in
-from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.field_types import LARGEST_WHOLE, checked
+from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goals import is_goal, no_goals_like, select
 from infogoal_jax.train.contracts import check_simulated
 
@@ -87,20 +86,16 @@ def copied(parts: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def load(task: str | Environment, config: Any) -> Environment:
-    """The task of this name, or the environment itself; a Fetch task with positions as goals, whose episodes by default
-    go on at the goal. Raises `UserError` for one whose goals form a finite set and whose actions are vectors."""
+    """The task of this name, or the environment itself; episodes of a Fetch task by default go on at the goal. Raises
+    `UserError` for one whose goals form a finite set and whose actions are vectors."""
     checks.not_forked()
     if isinstance(task, Environment):
         require(config is None, "config", config, "leave it out: the environment has one of its own")
         check_contract(task)
         env = task
-    elif isinstance(task, str) and task in TASKS:
-        fits = config is None or isinstance(config, FetchConfig)
-        require(fits, "config", config, "give a FetchConfig, or leave it out for the reference's episodes")
-        config = FetchConfig(ends_at_goal=False) if config is None else checked(config, "config.")
-        env = environment.with_positions(environment.make(task, config), config.held_out)
     else:
-        env = envs.load(task, config)
+        of_reference = config is None and isinstance(task, str) and task in TASKS
+        env = envs.load(task, FetchConfig(ends_at_goal=False) if of_reference else config)
     remedy = "its goals form a finite set, and its actions are vectors; give object_search or point_maze, for example"
     require(env.discrete or not env.goals.finite, "task", task, remedy)
     check_simulated(env, "task", task if isinstance(task, str) else type(env).__name__)

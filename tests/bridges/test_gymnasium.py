@@ -110,8 +110,10 @@ def test_pictures_follow_the_robot(reach):
 def test_wrong_calls_are_explained(reach):
     with pytest.raises(UserError, match="Did you mean 'fetch_push'"):
         bridge.make("fetch_pusch")
-    with pytest.raises(UserError, match="config = {'episode_length': 5}: give a FetchConfig"):
+    with pytest.raises(UserError, match="config = 'dict': fetch_reach needs a FetchConfig"):
         bridge.make("fetch_reach", config={"episode_length": 5})
+    with pytest.raises(UserError, match="task = 'fetch_reach': its goals form a finite set"):
+        bridge.make("fetch_reach", FetchConfig(goals="images"))
     with pytest.raises(UserError, match="render_mode"):
         bridge.TaskGymnasium("fetch_reach", render_mode="human")
     fresh = bridge.make("fetch_reach", render_mode="rgb_array")
