@@ -139,6 +139,14 @@ def whole(value, low=None, high=None) -> bool:
     return is_whole and (low is None or value >= low) and (high is None or value <= high)
 
 
+def are_actions(value) -> bool:
+    """Three actions of the recordings: vectors, or the numbers of moves."""
+    if isinstance(value, np.ndarray | jax.Array):
+        moves = value.shape == (3,) and value.dtype.kind == "i" and bool((value >= 0).all())
+        return moves or (isinstance(value, np.ndarray) and value.shape == (3, 4))
+    return isinstance(value, list | tuple) and len(value) == 3 and all(whole(move, 0) for move in value)
+
+
 def number(value) -> bool:
     """A number of Python or NumPy."""
     return isinstance(value, int | float | np.floating | np.integer) and not isinstance(value, bool)
@@ -512,7 +520,7 @@ CALLS = {
         RECORDED,
         {
             "observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
-            "actions": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "actions": are_actions,
             "terminals": never,
         },
     ),
@@ -521,7 +529,7 @@ CALLS = {
         RECORDED | {"next_observations": np.ones((3, 4)), "terminals": [1, 1, 1]},  # Each is an episode.
         {
             "observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
-            "actions": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "actions": are_actions,
             "terminals": never,
             "next_observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
         },
@@ -673,6 +681,25 @@ def calls(draw) -> tuple[str, str, Any]:
     return name, argument, draw(st.sampled_from(ODD) | st.integers() | st.floats() | st.text(max_size=4))
 
 
+def is_right_or_refused(name: str, argument: str, value: Any) -> None:
+    """Call a function with an odd value in place of one argument, in an empty folder."""
+    function, arguments, right = CALLS[name]
+    if right[argument](value):
+        return
+    with pytest.raises(UserError):
+        function(**arguments | {argument: value})
+    assert not os.listdir()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", CALLS)
+def test_every_odd_value_is_right_or_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for argument in CALLS[name].right:
+        for value in ODD:
+            is_right_or_refused(name, argument, value)
+
+
 @pytest.mark.parametrize("count", [SHORT, pytest.param(LONG, marks=pytest.mark.long)])
 def test_an_argument_is_right_or_is_refused(count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -686,13 +713,7 @@ def test_an_argument_is_right_or_is_refused(count, tmp_path, monkeypatch):
     )
     @given(calls())
     def check(call):
-        name, argument, value = call
-        function, arguments, right = CALLS[name]
-        if right[argument](value):
-            return
-        with pytest.raises(UserError):
-            function(**arguments | {argument: value})
-        assert not os.listdir(tmp_path)
+        is_right_or_refused(*call)
 
     check()
 
