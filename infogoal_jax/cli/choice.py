@@ -129,7 +129,8 @@ def with_environment(arguments: list[str]) -> list[str]:
     library, _, name = given[0].partition(":")
     remedy = f"give {' or '.join(f'{known}:NAME' for known in libraries())}"
     if len(given) > 1 or library not in libraries() or not name:
-        raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, libraries())}".rstrip("."))
+        meant = "" if library in libraries() else nearest(library, libraries())
+        raise UserError(f"env = {' '.join(given)!r}: {remedy}.{meant}".rstrip("."))
     if first_word(rest):
         raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
     is_file = library == "ogbench" and name.endswith(".npz")

@@ -32,6 +32,8 @@ def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: s
     about, size = policy.about, Path(out).stat().st_size / 1e6
     actions = actions_in_words(about)
     tell(f"{out}: {about['task']}, {about['method']}, seed {about['seed']}; {actions}; {size:.1f} MB")
+    if stablehlo:
+        tell(f"{stablehlo}: the same as StableHLO; {Path(stablehlo).stat().st_size / 1e6:.1f} MB")
     return 0
 
 

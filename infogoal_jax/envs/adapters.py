@@ -492,7 +492,8 @@ def imported(module: str, remedy: str) -> Any:
     """An optional module, without what it says while it is imported. Raises `UserError` with the remedy where it, or
     what it needs, cannot be imported."""
     try:
-        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        silent = io.StringIO()
+        with contextlib.redirect_stdout(silent), contextlib.redirect_stderr(silent), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return importlib.import_module(module)
     except ImportError as error:

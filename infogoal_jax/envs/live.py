@@ -156,8 +156,9 @@ def maker(make: Any) -> Callable[[], Any]:
             gymnasium.register_envs(adapters.imported("gymnasium_robotics", "pip install gymnasium-robotics"))
         known = [*gymnasium.registry]
         there = make in known or ":" in make  # `MODULE:ID` is imported by Gymnasium.
-        remedy = "Gymnasium has no such environment; that of Gymnasium-Robotics: pip install gymnasium-robotics"
-        require(there, "make", make, f"{remedy}.{nearest(make, known)}")
+        robotics = "that of Gymnasium-Robotics: pip install gymnasium-robotics"
+        remedy = f"Gymnasium has no such environment; {robotics}; one of your own: --import FILE that registers it"
+        require(there, "make", make, f"{remedy}.{nearest(make, sorted(known, reverse=True))}")  # The newest version.
     else:
         checks.function(make, "make", 0, "give the id of an environment, or a function that makes a new one")
     mend_robotics()

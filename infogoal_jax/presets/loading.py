@@ -72,7 +72,7 @@ def preset_of(task: str) -> Preset:
     take_library(task)
     if task not in envs.registry:
         own = "one of your own is registered first: --import FILE, or presets.register"
-        require_known("task", task, registry, "no such task", own)
+        require_known("task", task, registry, "no such task", f"{own}; another library's: --env LIBRARY:NAME")
     envs.registry.entry(task)
     require(
         task in registry,

@@ -16,6 +16,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTaskConfig
+from infogoal_jax.envs.named import LIBRARIES
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import UserError
@@ -248,12 +249,17 @@ def made_with(files: dict[str, str], config: Any, place: Place) -> TrainConfig:
     """The configuration of what was made with these files of `--import`, {name: SHA-256}. Raises `UserError`, naming
     the file, where it cannot be read and one of them is not imported, or is another now."""
     imports.check_unchanged(files, place.path)
+    needed = imports.missing(files, place.path)
+    needs_files = imports.OtherImportsError(f"{place.path}: {needed}")
     try:
-        return from_dict(config, place.within("config"))
+        made = from_dict(config, place.within("config"))
     except UserError as error:
-        if needed := imports.missing(files, place.path):
-            raise imports.OtherImportsError(f"{place.path}: {needed}") from error
+        if needed:
+            raise needs_files from error
         raise
+    if needed and made.task in LIBRARIES:  # Its environment may be one that a file registers with the library.
+        raise needs_files
+    return made
 
 
 def from_values(values: Any, place: Place) -> Description:

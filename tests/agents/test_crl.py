@@ -113,6 +113,8 @@ def test_goals_that_were_achieved_are_asked_for():
     in_prefix, skipping = HERConfig(1.0, strategy="prefix"), HERConfig(1.0, skip_reached=True)
     assert fields(method="her", relabelling=in_prefix) == {"relabelling.strategy"}
     assert fields(method="her", relabelling=skipping) == {"relabelling.skip_reached"}
+    for task in ("fetch_push_positions", "gymnasium"):  # Their own relabelling skips, with other agents.
+        assert reasons_against(presets.load(task, "none", agent="crl")) == []
     assert fields(method="dgrl", relabelling="her") <= {"learner"}
     (remark,) = remarks(presets.load("fetch_push", "infogoal", agent="crl", relabelling="her"))
     assert "no reward" in remark

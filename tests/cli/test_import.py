@@ -17,9 +17,10 @@ from infogoal_jax import envs, imports, presets
 from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
+from infogoal_jax.envs.named import GymnasiumConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner.jobs import Plan, read_plan, start
-from infogoal_jax.runs import tables
+from infogoal_jax.runs import configuration, tables
 
 TASK = """
 import dataclasses
@@ -140,6 +141,17 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, m
     shutil.rmtree(run)
     line = refused("evaluate run.zip --starts 1".split(), capsys)
     assert main(["evaluate", "run.zip", "--starts", "1", *line.partition("is in it, give ")[2].split()]) == 0
+
+
+def test_a_run_on_a_robot_that_a_file_registers_says_which_file_it_needs(my_task, capsys):
+    """The task is that of the library, which is known without the file."""
+    imports.import_file(my_task)
+    config = presets.load("gymnasium", "none", env=GymnasiumConfig(id="Mine-v0"))
+    configuration.write(Path("run"), configuration.Description(config, [0], "", {}, "cpu", imports=imports.checksums()))
+    assert configuration.read(Path("run")).config == config
+    forget()
+    for words in ("evaluate run", "train --resume run"):
+        assert "the run was made with my_task.py; if you trust" in refused(words.split(), capsys)
 
 
 def test_a_sweep_says_which_file_it_needs(my_task, capsys):
