@@ -23,7 +23,7 @@ from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
-OF_RELABELLING = {"future_share": 1.0, "strategy": "soon", "skip_reached": False}
+OF_RELABELLING = {"current_share": 0.0, "future_share": 1.0, "strategy": "soon", "skip_reached": False}
 """Every transition carries a goal that was achieved."""
 
 

@@ -37,6 +37,8 @@ MOST_MEMBERS, LONGEST_NAME = 2**16, 200
 """Members of an archive, and letters of a member's name."""
 MOST_FILES, METHODS = 100, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Files of a zip that is unpacked whole, and the ways in which they are packed."""
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+"""What reads the header of an array, by the version of its format."""
 FORMAT = "format_version"
 """The member that says which version of its format an archive has; one without it has the first."""
 
@@ -109,6 +111,20 @@ def member(archive: Archive, name: str, remedy: str) -> np.ndarray:
         raise UserError(
             f"{name} = unreadable ({error}); the file is damaged, or holds pickled objects, which run code; {remedy}"
         ) from error
+
+
+def header(path: str | os.PathLike, name: str) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of one member of the npz at `path`, of which nothing else is read. Raises `OSError` if it cannot
+    be read, `UserError` if it is damaged or has no such member."""
+    try:
+        with files.open_to_read(path) as file, zipfile.ZipFile(file) as members, members.open(f"{name}.npy") as array:
+            read_header = HEADERS[np.lib.format.read_magic(array)]
+            shape, _, dtype = read_header(array)
+    except OSError:
+        raise
+    except Exception as error:  # As in `member`.
+        raise UserError(f"{name} = unreadable ({error})") from error
+    return shape, dtype
 
 
 def unzipped(content: bytes, largest: int) -> dict[str, bytes]:

@@ -188,6 +188,20 @@ def is_one(path: str | os.PathLike) -> bool:
     return bool({"observations", "actions", "terminals"} & names) and "frames" not in names
 
 
+def holds_moves(path: str | os.PathLike) -> bool:
+    """Whether the actions of a file are moves, by their header alone; not of what cannot be read."""
+    try:
+        shape, dtype = archives.header(path, "actions")
+    except (OSError, UserError):
+        return False
+    return is_moves(dtype, shape)
+
+
+def is_moves(dtype: np.dtype, shape: tuple[int, ...]) -> bool:
+    """Whether actions of this type and shape are the numbers of moves."""
+    return dtype.kind in "iu" and len(shape) == 1
+
+
 def check_episodes(path: str | os.PathLike) -> list[Finding]:
     """Everything that is wrong with the file at `path`, in one pass; empty if there is nothing."""
     return check_file(path, SCHEMA, REMEDY, faults_of, remarks_on, ignored=OTHERS)
@@ -213,9 +227,9 @@ def remarks_on(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
 def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """Every fault of the members of a file in any of the layouts: of each by itself, of their lengths, and of where
     episodes end."""
-    images = "observations" in members and members["observations"].dtype == np.uint8
+    images = "observations" in members and is_images(members["observations"])
     seen = IMAGES if images else VECTORS
-    moves = "actions" in members and members["actions"].dtype.kind in "iu" and members["actions"].ndim == 1
+    moves = "actions" in members and is_moves(members["actions"].dtype, members["actions"].shape)
     found, lengths, faults = fitting(
         members,
         SCHEMA
@@ -241,6 +255,11 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
         for row in np.flatnonzero(~np.isin(found.get(name, 0), (0, 1)))[:1]:
             yield f"{name}[{row}]", f"is {found[name][row]}; give 0 or 1"
     yield from faults_of_ends(members, found)
+
+
+def is_images(observations: np.ndarray) -> bool:
+    """Whether these are meant as images: by their type, or their axes."""
+    return observations.dtype == np.uint8 or observations.ndim == len(IMAGES.shape)
 
 
 def faults_of_ends(members: Mapping[str, np.ndarray], found: Mapping[str, np.ndarray]) -> Iterator[Fault]:

@@ -6,15 +6,16 @@ import dataclasses
 import os
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+from infogoal_jax.data.episodes import holds_moves
 from infogoal_jax.envs import adapters, live
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig, traits
 from infogoal_jax.envs.recordings import from_recordings, naming_field, recorded_in
 from infogoal_jax.errors import nearest, renamed, require
-from infogoal_jax.field_types import Size, Within
+from infogoal_jax.field_types import LARGEST_WHOLE, Size, Within
 from infogoal_jax.files import expanded
 from infogoal_jax.registry import Entry
 
@@ -74,6 +75,8 @@ class OGBenchConfig:
     """Name of one of its datasets, which OGBench has downloaded."""
     dataset: str = ""
     """File of recorded episodes in its place (docs/reference/datasets.md)."""
+    episode_length: ClassVar[int] = LARGEST_WHOLE
+    """That of the recordings is known once they are read: nothing is too long for it before."""
 
 
 BRAX = {
@@ -165,14 +168,26 @@ DOWNLOADED = "~/.ogbench/data"
 """Where OGBench puts its datasets, unless it is told another folder."""
 
 
-def make_ogbench(config: OGBenchConfig) -> GoalTask:
-    """Recorded episodes alone."""
+def file_of(config: OGBenchConfig) -> str:
+    """The file of the recordings. Raises `UserError` where none is named, and where OGBench has not downloaded it."""
     require(
         bool(config.id or config.dataset), "env.id", config.id, "name a dataset of OGBench, or give --env.dataset FILE"
     )
     file = config.dataset or str(expanded(f"{DOWNLOADED}/{config.id}.npz"))
     remedy = f"is not in {DOWNLOADED}: ogbench.download_datasets([NAME]) fetches it, or give --env.dataset FILE"
     require(bool(config.dataset) or os.path.exists(file), "env.id", config.id, remedy)
+    return file
+
+
+def traits_of_recordings(config: OGBenchConfig) -> Traits:
+    """What the header of the file tells; of no file, that actions are vectors, as all of OGBench's with states are."""
+    moves = bool(config.id or config.dataset) and holds_moves(file_of(config))
+    return Traits(finite_goals=False, moves=moves, recorded=True, ends_at_goal=True)
+
+
+def make_ogbench(config: OGBenchConfig) -> GoalTask:
+    """Recorded episodes alone."""
+    file = file_of(config)
     with naming_field("env.dataset" if config.dataset else "env.id", config.dataset or config.id, file):
         return from_recordings(file)
 
@@ -182,10 +197,6 @@ LIBRARIES = {
     "playground": Entry(PlaygroundConfig, partial(with_recordings, make_playground), traits=traits),
     "jaxgcrl": Entry(JaxGCRLConfig, partial(with_recordings, make_jaxgcrl), traits=traits),
     "gymnasium": Entry(GymnasiumConfig, partial(with_recordings, make_gymnasium), traits=traits),
-    "ogbench": Entry(
-        OGBenchConfig,
-        make_ogbench,
-        traits=lambda config: Traits(finite_goals=False, moves=False, recorded=True, ends_at_goal=True),
-    ),
+    "ogbench": Entry(OGBenchConfig, make_ogbench, traits=traits_of_recordings),
 }
 """The task of each library, by its name."""

@@ -108,6 +108,10 @@ FAULTS = {
     "lengths": ({"actions": np.zeros((11, 1))}, ["actions: has 11 rows, but observations has 12"]),
     "no end": ({"terminals": np.zeros(12)}, ["terminals: no episode ends"]),
     "open end": ({"terminals": np.eye(12)[5]}, ["terminals[11]: is 0: the last 6 observations"]),
+    "images of floats": (
+        {"observations": np.zeros((12, 8, 8, 3), np.float32)},
+        ["observations: is float32; give uint8"],
+    ),
     "channels first": (
         {"observations": np.zeros((12, 3, 8, 8), np.uint8)},
         ["observations: is [12, 3, 8, 8], more channels than rows; give [N, H, W, C]"],

@@ -3,17 +3,19 @@
 import dataclasses
 import importlib.util
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from infogoal_jax import envs, presets
+from infogoal_jax import agents, envs, presets
 from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.main import main
 from infogoal_jax.data.episodes import of_arrays, save
 from infogoal_jax.envs import named
 from infogoal_jax.errors import UserError
-from infogoal_jax.loading import load_environment
+from infogoal_jax.loading import load_environment, reasons_against
+from infogoal_jax.report.methods import against
 from infogoal_jax.runs import configuration
 
 # Of brax itself, about the fields of MuJoCo that it reads.
@@ -33,6 +35,7 @@ SMALL += " --updates-per-epoch 2 --batch-size 8 --evaluation-starts 1 --no-figur
         ("point_maze --env.held-out", "point_maze --env.held-out"),
         ("--env ogbench:cube-single-play-v0 --seeds 2", "ogbench --env.id cube-single-play-v0 --seeds 2"),
         ("--env ogbench:my/walks.npz", "ogbench --env.dataset my/walks.npz"),
+        ("--env ogbench:~/walks.npz", f"ogbench --env.dataset {Path.home()}/walks.npz"),
         ("", ""),
     ],
 )
@@ -152,3 +155,21 @@ def test_a_dataset_of_ogbench_is_learned_from_by_its_name(downloaded, tmp_path, 
         file.rename(tmp_path / "moved.npz")
         moved = ["--env.dataset", str(tmp_path / "moved.npz")]
     assert main(["train", "--resume", run, "--num-epochs", "2", "--no-figures", *moved]) == 0
+
+
+def test_every_method_and_agent_is_judged_for_recordings_alone(tmp_path):
+    """Among them InfoGoal, which is asked for where no method is named; agents that choose among moves by the file."""
+    assert not any(against("ogbench", name) for name in ("infogoal", "cogoal", "none"))
+    for agent in agents.registry:  # Checks ask for the length of an episode, which no file tells before it is read.
+        parts = {"agent": agent} if agent in ("dqn", "cql") else {"agent": agent, "relabelling": "mixed"}
+        acts = agents.traits_of(agents.registry[agent].config()).actions
+        assert bool(against("ogbench", "none", **parts)) == (acts != "vectors" or agent in ("td3", "sac", "crl")), agent
+    for agent in ("td3", "sac", "crl"):
+        assert not against("ogbench", "none", agent=agent, relabelling="her")
+    for moves in (False, True):
+        actions = np.arange(12) % 3 if moves else np.zeros((12, 1))
+        np.savez(tmp_path / "walks.npz", actions=actions)  # Its header is enough.
+        env = named.OGBenchConfig(dataset=str(tmp_path / "walks.npz"))
+        for agent, relabelling, of_moves in (("cql", "her", True), ("gciql", "mixed", False)):
+            config = presets.load("ogbench", "none", agent=agent, relabelling=relabelling, env=env)
+            assert [refusal.field for refusal in reasons_against(config)] == ["agent"] * (moves != of_moves)
