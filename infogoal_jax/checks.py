@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax._src import xla_bridge  # No public function says whether JAX has started without starting it.
 
-from infogoal_jax.errors import UserError, reason, require, shown
+from infogoal_jax.errors import UserError, line_of, reason, require, shown
 from infogoal_jax.keys import is_key
 
 MOST_ENVS = 2**20
@@ -236,7 +236,7 @@ def called(name: str, function: Callable, *arguments: Any) -> Any:
         raise UserError(f"{name}: {missing} not written, and the contract asks for it") from error
     except (Exception, SystemExit) as error:
         kind, colon, words = reason(error).partition(": ")
-        raise UserError(f"{name}: raised {kind} when it was traced{colon}{words}") from error
+        raise UserError(f"{name}: raised {kind} when it was traced{colon}{words}{line_of(error)}") from error
 
 
 def traced(name: str, function: Callable, *arguments: Any) -> Any:

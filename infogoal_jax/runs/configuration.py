@@ -240,7 +240,8 @@ def read_values(folder: Path, field: str, remedy: str) -> tuple[Any, Place]:
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
     if (folder / SWEEP).exists() and not place.path.exists():
         own = sorted(path.parent for path in folder.glob(f"*/{NAME}"))
-        raise UserError(f"{given}: is of a sweep; give one of its runs{f', such as {own[0]}' if own else ''}")
+        such = f", such as {own[0]}; `infogoal compare` takes all of them, {folder}/*/" if own else ""
+        raise UserError(f"{given}: is of a sweep; give one of its runs{such}")
     missing = "holds no config.json" if folder.exists() else "there is no such folder"
     return parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place), place
 

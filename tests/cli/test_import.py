@@ -161,6 +161,11 @@ def test_a_sweep_says_which_file_it_needs(my_task, capsys):
     start(config, plan, Path("rates"))
     assert read_plan(Path("rates")) == (config, plan)
     assert refused("report rates".split(), capsys).endswith("is of a sweep; give one of its runs")
+    Path("rates/of_one").mkdir()
+    Path("rates/of_one/config.json").write_text("{}")
+    such = "such as rates/of_one; `infogoal compare` takes all of them, rates/*/"
+    assert refused("compare rates --out a.pdf".split(), capsys).endswith(such)
+    shutil.rmtree("rates/of_one")
     forget()
     line = refused("train --resume rates".split(), capsys)
     assert "rates/sweep.json: the run was made with my_task.py" in line and "--import rates/imports/my_task.py" in line
