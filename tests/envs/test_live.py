@@ -287,6 +287,9 @@ class Broken(Mass):
             raise OSError("the motor is hot")
 
 
+HOT = "infogoal: Broken-v0: raised OSError: the motor is hot (test_live.py, line "
+
+
 class Silent(Mass):
     """Which tells nothing at a reset."""
 
@@ -401,7 +404,7 @@ def test_a_robot_that_fails_in_a_compiled_program_is_one_line(broken_id, monkeyp
     monkeypatch.setattr(cli, "run", play)
     assert main([]) == 2
     error = capsys.readouterr().err
-    assert error.strip().splitlines()[-1] == "infogoal: Broken-v0: raised OSError: the motor is hot"
+    assert error.strip().splitlines()[-1].startswith(HOT)
 
 
 @pytest.mark.long
@@ -411,7 +414,7 @@ def test_a_robot_that_fails_is_one_line_of_training(broken_id, tmp_path, monkeyp
     out = ["--out", str(tmp_path / "run")]
     assert main(["train", "--env", f"gymnasium:{broken_id}", "--method", "none", *flags(4), *out]) == 2
     error = capsys.readouterr().err
-    assert error.strip().splitlines()[-1] == "infogoal: Broken-v0: raised OSError: the motor is hot"
+    assert error.strip().splitlines()[-1].startswith(HOT)
 
 
 @pytest.mark.long

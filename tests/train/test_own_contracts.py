@@ -342,7 +342,7 @@ WRONG = [
     (
         "learner",
         replaced("loss", lambda found: 1 / 0),
-        r"learner.loss: raised ZeroDivisionError .*: division by zero \(test_own_contracts.py, line \d+\)$",
+        r"learner.loss: raised ZeroDivisionError .*: division by zero \(test_own_contracts.py, line \d+\)",
     ),
     ("learner", replaced("intrinsic_reward", lambda found: (found[0][0], found[1])), "the reward of learner.intrinsic"),
     ("agent", lambda part: part.init, "agent = 'function': its make has to return an Agent"),
