@@ -9,6 +9,8 @@ import inspect
 import math
 import numbers
 import os
+import sys
+import traceback
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
@@ -17,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax._src import xla_bridge  # No public function says whether JAX has started without starting it.
 
-from infogoal_jax.errors import UserError, line_of, reason, require, shown
+from infogoal_jax.errors import UserError, reason, require, shown
 from infogoal_jax.keys import is_key
 
 MOST_ENVS = 2**20
@@ -237,6 +239,18 @@ def called(name: str, function: Callable, *arguments: Any) -> Any:
     except (Exception, SystemExit) as error:
         kind, colon, words = reason(error).partition(": ")
         raise UserError(f"{name}: raised {kind} when it was traced{colon}{words}{line_of(error)}") from error
+
+
+def line_of(error: BaseException) -> str:
+    """` (my_task.py, line 12)`: where somebody else's code raised an error, the last line of a file that is neither of
+    this package, nor of an installed one, nor Python's own; empty without such a line."""
+    own = {__name__.partition(".")[0], *sys.stdlib_module_names}
+    theirs = ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        file, module = frame.f_code.co_filename, frame.f_globals.get("__name__", "")
+        if module.partition(".")[0] not in own and "-packages" not in file:
+            theirs = f" ({file.rpartition('/')[2]}, line {line})"
+    return theirs
 
 
 def traced(name: str, function: Callable, *arguments: Any) -> Any:

@@ -2,12 +2,9 @@
 worded with."""
 
 import contextlib
-import os
 import re
 import shlex
-import traceback
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 LONGEST = 200
@@ -59,15 +56,6 @@ def reason(error: BaseException) -> str:
     except Exception:  # Its own text fails.
         words = ""
     return f"{type(error).__name__}: {words}" if words else type(error).__name__
-
-
-def line_of(error: BaseException) -> str:
-    """` (my_task.py, line 12)`: where somebody else's code raised an error, the last line of a file that is neither of
-    this package, nor of an installed one, nor Python's own; empty without such a line."""
-    others = (f"{Path(__file__).parent}{os.sep}", f"{Path(os.__file__).parent}{os.sep}", "<")
-    lines = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
-    theirs = [(file, line) for file, line in lines if not file.startswith(others) and "-packages" not in file]
-    return f" ({Path(theirs[-1][0]).name}, line {theirs[-1][1]})" if theirs else ""
 
 
 def typed(path: object) -> str:

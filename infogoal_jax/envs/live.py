@@ -31,7 +31,7 @@ from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.envs import adapters
 from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.goal_task import Episode, between
-from infogoal_jax.errors import UserError, line_of, nearest, reason, require
+from infogoal_jax.errors import UserError, nearest, reason, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 
 PARTS = ("observation", "achieved_goal", "desired_goal")
@@ -400,7 +400,7 @@ def said(field: str, function: Callable, *arguments: Any) -> Any:
     except UserError:
         raise
     except Exception as error:
-        raise UserError(f"{field}: raised {reason(error)}{line_of(error)}") from error
+        raise UserError(f"{field}: raised {reason(error)}{checks.line_of(error)}") from error
 
 
 def buffers_of(data: Any) -> list[np.ndarray]:
