@@ -23,7 +23,7 @@ MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
 next."""
-MUCH_MEMORY = 2.5
+MUCH_MEMORY = 4.0
 """GB that a worker holds; two of the long tests held 7 each at their end, most of it freed and not given back."""
 LONGEST_FIRST = (
     "training",
