@@ -33,8 +33,8 @@ from infogoal_paper.table_formats import machines_in_words, markdown_lines, tigh
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.xz"
 SUCCESS = 0.5
 """The success that seconds are counted to."""
-LEARNED = 0.05
-"""The success from which on a task is drawn."""
+LEARNED = 0.1
+"""The success from which on a side has learned a task."""
 SIDES = ("ours", "theirs")
 """What is compared and drawn; other sides of ours, as `ours+infogoal`, have a goal encoder."""
 
@@ -125,11 +125,28 @@ def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tupl
         yield task, agent, {side: timed_alone(joined(seeds), alone) for side, seeds in own.items()}
 
 
+def is_learned(sides: dict[str, Outcome]) -> bool:
+    """Whether one of these sides learned its task."""
+    return max(np.mean(own.success, 0).max() for own in sides.values()) > LEARNED
+
+
+def unlearned(outcomes: Iterable[Outcome]) -> str:
+    """The tasks and agents that no side learned, with the seeds of each, ours first, and the steps that both made."""
+    found = []
+    for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), []):
+        if not is_learned(sides):
+            seeds = " and ".join(str(len(own.success)) for own in sides.values())
+            found.append(f"{task}, {agent} ({seeds}, {min(own.steps[-1] for own in sides.values()) / 1e6:.1f})")
+    return f"Not above {LEARNED}, with seeds and million steps of both: {'; '.join(found)}." if found else ""
+
+
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
-    """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are, where
-    both were timed alone."""
+    """A row for each side of a task and agent that one of them learned; behind the speeds of ours stands how many times
+    theirs they are, where both were timed alone."""
     lines, timed = [], {each.program() for each in alone}
     for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
+        if not is_learned(sides):
+            continue
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
@@ -154,18 +171,18 @@ def success_at(outcome: Outcome, steps: float) -> np.ndarray:
     return np.array(outcome.success)[:, np.abs(np.array(outcome.steps) - steps).argmin()]
 
 
-def encoder_cells(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, str]]:
+def encoder_success(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
     """Success with each goal encoder, after the steps that all of a task and agent have: {(task, agent): {encoder:
-    cell}}, of those that an encoder ran on."""
-    cells = {}
+    [seeds]}}, of those that an encoder ran on."""
+    found = {}
     for task, agent, sides in compared((each for each in outcomes if each.side != "theirs"), []):
         reached = min(each.steps[-1] for each in sides.values())
         if len(sides) > 1:
-            cells[task, agent] = {
-                side.removeprefix("ours").removeprefix("+") or "none": tight(mean_interval(success_at(each, reached)))
+            found[task, agent] = {
+                side.removeprefix("ours").removeprefix("+") or "none": success_at(each, reached)
                 for side, each in sides.items()
             }
-    return cells
+    return found
 
 
 def foot(outcomes: Iterable[Outcome]) -> str:
@@ -203,19 +220,15 @@ def take(beside: list[Path], alone: list[Path]) -> None:
 def tables() -> dict[str, str]:
     """The table of the page; none without numbers."""
     kept = read()
-    beside = rows(kept["beside"], kept["alone"])
-    return {"peers": markdown_lines(HEAD, beside)} if beside else {}
+    lines = [markdown_lines(HEAD, rows(kept["beside"], kept["alone"])), unlearned(kept["beside"])]
+    return {"peers": "\n\n".join(filter(None, lines))} if kept["beside"] else {}
 
 
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
     """Draw success against environment steps, and against seconds of training a seed; a column for each task and agent
     that both sides ran, and one of them learned."""
     drawn = (each for each in outcomes if each.side in SIDES)
-    columns = [
-        each
-        for each in compared(drawn, alone)
-        if len(each[2]) > 1 and max(np.mean(own.success, 0).max() for own in each[2].values()) > LEARNED
-    ]
+    columns = [each for each in compared(drawn, alone) if len(each[2]) > 1 and is_learned(each[2])]
     with figure_style():
         below = ("Mean over seeds, every seed a thin line; from three seeds on the 95 % interval.",)
         figure = empty_figure("Beside JaxGCRL", below, (2.3 * len(columns), 4.2))

@@ -182,21 +182,39 @@ def peers(outcomes: list[Outcome]) -> str:
     return f"{markdown_lines(head, rows)}\n\n{foot(outcomes, marks)}{of_seeds(usual, rows) if marks else ''}"
 
 
-def encoder_cells(outcomes: list[Outcome]) -> tuple[dict[str, dict[str, str]], str]:
-    """Success with goal encoders, {agent: {encoder: cell}}, and how it was measured. A cell has success on tasks whose
-    goals were not held out, on those whose were, and on all where the policy is told its goals with an error, or sees
-    their pictures under backgrounds."""
-    cells: dict[str, dict[str, str]] = {}
-    marks, usual = set(), max(len(outcome.seeds) for outcome in outcomes)
-    for (agent, learner), found in sides_of(outcomes).items():
-        last = max((mark for each in found["ours"] for mark in each.updates), default=0)
-        success, noisy = (success_at(found["ours"], last, kind) for kind in ("success", "noisy"))
+def encoder_success(outcomes: Iterable[Outcome]) -> tuple[dict[str, dict[str, dict[str, np.ndarray]]], set[int]]:
+    """Success of goal encoders, {agent: {encoder: {goals: [seeds]}}}, and after how many updates. Goals are those as in
+    training, those held out, and all where the policy is told its goals wrong, or sees their pictures under
+    backgrounds."""
+    found: dict[str, dict[str, dict[str, np.ndarray]]] = {}
+    marks = set()
+    for (agent, learner), sides in sides_of(outcomes).items():
+        own = sides["ours"]
+        last = max((mark for each in own for mark in each.updates), default=0)
+        success, noisy = (success_at(own, last, kind) for kind in ("success", "noisy"))
         if len(success):
             marks.add(last)
-            out = np.isin(np.arange(success.shape[1]) + 1, found["ours"][0].held_out)
-            parts = shown(success[:, ~out]), shown(success[:, out]), shown(noisy)
-            number = f" ({len(success)})" if len(success) != usual else ""
-            cells.setdefault(NAMES.get(agent, agent), {})[learner] = ", ".join(filter(None, parts)) + number
+            out = np.isin(np.arange(success.shape[1]) + 1, own[0].held_out)
+            corrupted = "under backgrounds" if own[0].goals == "images" else "told wrong"
+            parts = {"as in training": success[:, ~out], "held out": success[:, out], corrupted: noisy}
+            means = {goals: each.mean(-1) for goals, each in parts.items() if each.size}
+            found.setdefault(NAMES.get(agent, agent), {})[learner] = means
+    return found, marks
+
+
+def encoder_cells(outcomes: list[Outcome]) -> tuple[dict[str, dict[str, str]], str]:
+    """Success with goal encoders, {agent: {encoder: cell}}, and how it was measured. A cell has a number for each kind
+    of goals of `encoder_success`."""
+    found, marks = encoder_success(outcomes)
+    usual = max(len(outcome.seeds) for outcome in outcomes)
+    cells: dict[str, dict[str, str]] = {}
+    for agent, learners in found.items():
+        for learner, parts in learners.items():
+            seeds = len(next(iter(parts.values())))
+            number = f" ({seeds})" if seeds != usual else ""
+            cells.setdefault(agent, {})[learner] = (
+                ", ".join(tight(mean_interval(each)) for each in parts.values()) + number
+            )
     noise = ", ".join(sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy}))
     said = "A cell: goals as in training, held out"
     if outcomes[0].goals == "images":

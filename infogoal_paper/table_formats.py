@@ -98,12 +98,15 @@ def narrow(table: Table, heads: Iterable[str], names: Iterable[str] | None = Non
 
 
 def machines_in_words(machines: Iterable[str]) -> str:
-    """Machines as `describe_machine` names them, `DEVICE, VERSIONS, DATE`: each once, with all of its dates."""
+    """Machines as `describe_machine` names them, `DEVICE, VERSIONS, DATE`: each once, with its first and last date."""
     dates: dict[str, set[str]] = {}
     for machine in machines:
         name, comma, date = machine.rpartition(", ")
         dates.setdefault(name if comma else date, set()).update({date} if comma else ())
-    return "; ".join(", ".join([name, *sorted(found)]) for name, found in dates.items())
+    spans = {
+        name: " to ".join(dict.fromkeys([min(found), max(found)])) if found else "" for name, found in dates.items()
+    }
+    return "; ".join(", ".join(filter(None, (name, span))) for name, span in spans.items())
 
 
 def latex_cell(cell: Cell | str) -> str:

@@ -7,16 +7,17 @@ against seconds and steps, steps and updates a second.
         [--budget 540] [--first-seed 0] [--rounds 10]
     python -m infogoal_paper.jaxgcrl RESULTS.json ...    # the table
 
-What is in RESULTS.json already is not run again, so that several calls fill one table. Once the budget, in seconds, is
-spent no program is begun, and those that run stop at their next evaluation, as after `--rounds` of them. `--toy` is a
-size for a CPU, which checks that everything runs.
+RESULTS.json is written after every evaluation. What is in it already is not run again, so that several calls fill one
+table. Once the budget, in seconds, is spent no program is begun, and those that run stop at their next evaluation, as
+after `--rounds` of them. `--toy` is a size for a CPU, which checks that everything runs.
 
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
 and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. The side
 ours+infogoal puts InfoGoal's code in place of the goal, the others those of other goal encoders, as `ogbench_peer.py`
 sets them. Success is the fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie
-between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs.
+between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs. Ours are evaluated on the
+same 128 goals every time, an episode each; theirs on as many drawn anew.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
 counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
@@ -31,7 +32,7 @@ import sys
 import time
 import types
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -82,6 +83,9 @@ class Sizes:
     """Steps of each environment of ours between updates."""
 
 
+Keep = Callable[[Outcome], None]
+"""Keeps what a program did so far, in place of what it had done before."""
+
 TOY = Sizes(
     steps=400,
     evaluations=2,
@@ -96,12 +100,11 @@ TOY = Sizes(
 )
 
 
-def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
+def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float, keep: Keep) -> None:
     """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
     first evaluation after the deadline, in seconds of `time.perf_counter`."""
-    num_goals = sizes.num_eval // OURS["evaluation_starts"]
     task_env = envs.from_jaxgcrl(
-        task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
+        task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=sizes.num_eval
     )
     name = f"jaxgcrl_{task}"
     presets.register(name, task_env, presets.JAXGCRL)
@@ -118,6 +121,7 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
         rollout_steps=sizes.our_steps,
         updates_per_epoch=collected // STEPS_PER_UPDATE,
         batch_size=sizes.batch_size,
+        evaluation_starts=1,
         buffer_steps=max(sizes.replay * sizes.num_envs, collected),
     )
     floats = floats | ({"epsilon": 0.1} if agent == "td3" else {})
@@ -148,11 +152,11 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
         steps.append(float(np.mean(metrics["env_steps"])))
         success.append((metrics["first_reached"] <= sizes.episode_length).mean((1, 2)).tolist())
         report(side, task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
+        updates = len(steps) * per_evaluation * config.updates_per_epoch
+        curves = np.transpose(success).tolist()
+        keep(Outcome(task, agent, side, describe_machine(), 0, steps, seconds[1:], curves, seeds, updates, compiling))
         if time.perf_counter() > deadline:
             break
-    updates = len(steps) * per_evaluation * config.updates_per_epoch
-    curves = np.transpose(success).tolist()
-    return Outcome(task, agent, side, describe_machine(), 0, steps, seconds[1:], curves, seeds, updates, compiling)
 
 
 @contextlib.contextmanager
@@ -210,7 +214,7 @@ class BudgetSpentError(Exception):
     """Stops JaxGCRL's program at an evaluation."""
 
 
-def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> Outcome:
+def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float, keep: Keep) -> None:
     """Train one seed of one of JaxGCRL's agents by its own program, until its end or the first evaluation after the
     deadline, in seconds of `time.perf_counter`."""
     agents = import_jaxgcrl("jaxgcrl.agents")
@@ -239,6 +243,8 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> O
         checkpoint_logdir=None,
         max_devices_per_host=1,
     )
+    # Every round has as many updates as make an epoch of its replayed episodes, whose last steps have no later goal.
+    learned = sizes.num_envs * (sizes.episode_length - (agent == "crl"))
     steps, walls, success = [], [], []
 
     def heard(num_steps, metrics, *rest, **more):
@@ -248,8 +254,14 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> O
         walls.append(float(metrics["training/walltime"]))
         success.append(float(metrics["eval/episode_success_any"]))
         report("theirs", task, agent, steps[-1], walls[-1], success[-1])
-        enough = time.perf_counter() > deadline or len(steps) >= sizes.rounds
-        if enough and len(steps) > 1:  # The second round is the first that does not compile.
+        if len(steps) < 2:  # The second round is the first that does not compile.
+            return
+        seconds = np.median(np.diff(walls)) * np.arange(1, len(walls) + 1)
+        updates = len(steps) * rounds * (learned // sizes.batch_size)
+        compiling = time.perf_counter() - started - float(seconds[-1])
+        curve, machine = [success[:]], describe_machine()
+        keep(Outcome(task, agent, "theirs", machine, seed, steps[:], seconds.tolist(), curve, 1, updates, compiling))
+        if time.perf_counter() > deadline or len(steps) >= sizes.rounds:
             raise BudgetSpentError
 
     started = time.perf_counter()
@@ -262,25 +274,6 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> O
             # At the end it counts other steps than it plans by, and returns parameters that it keeps in files alone.
             if len(steps) < sizes.evaluations:
                 raise
-    whole = time.perf_counter() - started
-    rounds_seconds = np.diff(walls)
-    seconds = np.median(rounds_seconds) * np.arange(1, len(walls) + 1)
-    # Every round has as many updates as make an epoch of its replayed episodes, whose last steps have no later goal.
-    learned = sizes.num_envs * (sizes.episode_length - (agent == "crl"))
-    updates = len(steps) * rounds * (learned // sizes.batch_size)
-    return Outcome(
-        task,
-        agent,
-        "theirs",
-        describe_machine(),
-        seed,
-        steps,
-        seconds.tolist(),
-        [success],
-        1,
-        updates,
-        whole - float(seconds[-1]),
-    )
 
 
 def report(side: str, task: str, agent: str, steps: float, seconds: float, success: float) -> None:
@@ -311,7 +304,11 @@ def main() -> None:
     sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
     sizes = dataclasses.replace(sizes, rounds=words.rounds)
     deadline = time.perf_counter() + words.budget
-    outcomes = load([words.out])
+    done = load([words.out])
+
+    def keep(outcome: Outcome) -> None:
+        """Write what is done, with this."""
+        words.out.write_text(json.dumps([dataclasses.asdict(each) for each in [*done, outcome]]))
 
     def runs() -> Iterator[tuple[str, str, str, int]]:
         """Ours first, then a seed of each of theirs, so that what the budget leaves out are seeds."""
@@ -324,20 +321,19 @@ def main() -> None:
                     yield task, agent, "theirs", seed
 
     for task, agent, side, seed in runs():
-        if any(each.program() == (task, agent, side) and each.seed == seed for each in outcomes):
+        if any(each.program() == (task, agent, side) and each.seed == seed for each in done):
             continue
         if time.perf_counter() > deadline:
             print("the budget is spent; the same command goes on", file=sys.stderr)
             break
         try:
             if side in SIDES:
-                found = ours(task, agent, side, sizes, words.seeds, deadline)
+                ours(task, agent, side, sizes, words.seeds, deadline, keep)
             else:
-                found = theirs(task, agent, sizes, seed, deadline)
+                theirs(task, agent, sizes, seed, deadline, keep)
         except UserError as error:
             parser.error(str(error))
-        outcomes.append(found)
-        words.out.write_text(json.dumps([dataclasses.asdict(each) for each in outcomes]))
+        done = load([words.out])
 
 
 if __name__ == "__main__":

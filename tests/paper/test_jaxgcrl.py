@@ -69,12 +69,20 @@ def test_goal_encoders_are_compared_at_the_steps_that_all_of_them_made():
     own = [outcome("ours", seeds=2), outcome("ours+infogoal", rounds=2, seeds=2), outcome("theirs", rounds=1)]
     alone = dataclasses.replace(outcome("ours"), task="reacher")
     other = dataclasses.replace(outcome("ours+infogoal, beta 0"), agent="sac")
-    assert jaxgcrl.encoder_cells([*own, alone, other, dataclasses.replace(outcome("ours"), agent="sac")]) == {
-        ("ant", "crl"): {"none": "0.20±0.00", "infogoal": "0.20±0.00"},
-        ("ant", "sac"): {"none": "0.30", "infogoal, beta 0": "0.30"},
+    found = jaxgcrl.encoder_success([*own, alone, other, dataclasses.replace(outcome("ours"), agent="sac")])
+    assert {place: {name: each.tolist() for name, each in own.items()} for place, own in found.items()} == {
+        ("ant", "crl"): {"none": [0.2, 0.2], "infogoal": [0.2, 0.2]},
+        ("ant", "sac"): {"none": [0.1 * 3], "infogoal, beta 0": [0.1 * 3]},
     }
     assert [row[1] for row in jaxgcrl.rows(own, [])] == ["ours, 2", "theirs, 1"]
-    assert jaxgcrl.encoder_cells([own[0], own[2], alone]) == {}
+    assert jaxgcrl.encoder_success([own[0], own[2], alone]) == {}
+
+
+def test_what_no_side_learned_is_one_line_in_place_of_rows():
+    sides = [outcome("ours", seeds=2, success=0.02), outcome("theirs", success=0.01)]
+    assert jaxgcrl.rows(sides, []) == []
+    assert "ant, crl (2 and 1, " in jaxgcrl.unlearned(sides)
+    assert jaxgcrl.unlearned([outcome("ours"), sides[1]]) == "" and len(jaxgcrl.rows([outcome("ours"), sides[1]], [])) == 2
 
 
 def test_a_side_has_one_colour_in_every_panel_and_a_line_of_the_legend(tmp_path, monkeypatch):

@@ -216,11 +216,19 @@ def test_goal_encoders_of_both_benchmarks_share_a_table(numbers):
         jaxgcrl.Outcome("ant", "crl", side, "a GPU", 0, [1.0], [2.0], [[success]], 1, 9, 0.0)
         for side, success in sides.items()
     ]
-    head, _, first, second, _, *notes = goal_encoders.table(online, offline).splitlines()
+    head, _, first, second, _, *notes = goal_encoders.success_table(online, offline).splitlines()
     assert head == "| task, agent | none | InfoGoal | InfoGoal, beta 0 | VAE | COGOAL |"
     assert first == "| ant, `crl` | 0.10 |  | 0.30 |  |  |"
     assert second.startswith("| pointmaze-medium, `offline_crl` | 0.50±0.00, 0.00±0.00 |  |  |  | 0.20±0.00, ")
     assert [note.partition(":")[0] for note in notes] == ["- JaxGCRL's", "- pointmaze-medium"]
+
+
+def test_infogoal_differs_clearly_where_the_interval_of_paired_differences_leaves_out_0():
+    none, beta_0 = np.array([0.1, 0.5, 0.9]), np.array([0.3, 0.5, 0.7])
+    own = {"none": {"held out": none, "told wrong": none}, "infogoal, beta 0": {"held out": beta_0}}
+    own["infogoal"] = {"held out": none + [0.20, 0.21, 0.22], "told wrong": none + [0.3, -0.3, 0.1]}
+    lines = goal_encoders.clear_table({("maze", "crl"): own, ("ant", "crl"): {"none": {"": none}}}).splitlines()
+    assert lines[2:] == ["| maze, `crl`, held out | 0.21±0.02 | 0.21±0.52 |  |  |", "", "1 of 2 comparisons with none."]
 
 
 def test_layers_and_the_batch_beside_states_have_to_be_ogbench_s(of_ogbench, monkeypatch):
