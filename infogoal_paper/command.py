@@ -7,7 +7,7 @@ from pathlib import Path
 
 from infogoal_jax.errors import counted, require, typed
 from infogoal_jax.runner.compilation import use_compilation_cache
-from infogoal_jax.runner.executors import run_in_processes, run_on_ray
+from infogoal_jax.runner.executors import check_flags, run_in_processes, run_on_ray
 from infogoal_jax.runs import disk
 from infogoal_paper import numbers, progress
 from infogoal_paper.cli import Flags
@@ -67,19 +67,13 @@ def reproduce(asked: Asked) -> int:
     """Train what is left, and draw. Returns the exit status."""
     require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
     require(asked.vmap_size > 0, "vmap_size", asked.vmap_size, "give at least 1")
-    require(0 <= asked.processes <= 1000, "processes", asked.processes, "give 0 to 1000")
-    require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
+    check_flags(asked.engine, asked.processes, asked.gpus, asked.ray_address)
     paper = "the paper's runs let goals enter that are achieved; leave it out, or reproduce all_goals"
     require(asked.name in BESIDE or not asked.known_goals, "known_goals", asked.known_goals, paper)
     verdicts = "is that of the verdicts on the paper; leave it out: OUT/all_goals.md has tables and figure"
     require(asked.name not in BESIDE or asked.page is None, "page", str(asked.page), verdicts)
     if asked.page is not None:
         disk.check_out(asked.page, "page")
-    by_ray = asked.engine == "ray"
-    require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
-    require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")
-    spread = "goes with --processes of at least 2, which are spread over them"
-    require(asked.processes > 1 or not asked.gpus, "gpus", asked.gpus, spread)
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
     if asked.from_ is not None:
         draw(asked, numbers.load(asked.from_))

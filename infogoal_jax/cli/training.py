@@ -198,15 +198,12 @@ def check_said_once(arguments: list[str]) -> None:
 
 def check_where(where: Where, resume: str) -> None:
     """Raise `UserError` for flags of where programs run that do not go together."""
-    several, by_ray = where.distributed, where.engine == "ray"
-    require(bool(several) or not where.num_processes, "num_processes", where.num_processes, "goes with --distributed")
+    from infogoal_jax.runner.executors import check_flags
+
+    several = bool(where.distributed)
+    require(several or not where.num_processes, "num_processes", where.num_processes, "goes with --distributed")
     require(not (several and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
-    require(0 <= where.processes <= 1000, "processes", where.processes, "give 0 to 1000")
-    require(where.gpus >= 0, "gpus", where.gpus, "give 0 or more")
-    require(by_ray or not where.ray_address, "ray_address", where.ray_address, "goes with --engine ray")
-    require(not (by_ray and where.gpus), "gpus", where.gpus, "Ray spreads programs over GPUs by itself; leave it out")
-    spread = "goes with --processes of at least 2, which are spread over them"
-    require(where.processes > 1 or not where.gpus, "gpus", where.gpus, spread)
+    check_flags(where.engine, where.processes, where.gpus, where.ray_address)
 
 
 def is_sweep(folder: str) -> bool:

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, Protocol, Self
 from rich.console import Console
 
 import infogoal_jax
-from infogoal_jax.errors import UserError, counted
+from infogoal_jax.errors import UserError, counted, require
 from infogoal_jax.files import read_bytes
 from infogoal_jax.imports import contents, import_contents, import_flags
 from infogoal_jax.runner import progress
@@ -45,6 +45,17 @@ LOSSES = 3
 """How often Ray begins a job anew whose machine or process was lost: it may be what kills them."""
 OWN = (".lock", ".partial", ".html")
 """Endings of files that are of no use elsewhere."""
+
+
+def check_flags(engine: str, processes: int, gpus: int, ray_address: str) -> None:
+    """Raise `UserError` for flags of where jobs run that do not go together."""
+    by_ray = engine == "ray"
+    require(0 <= processes <= 1000, "processes", processes, "give 0 to 1000")
+    require(gpus >= 0, "gpus", gpus, "give 0 or more")
+    require(by_ray or not ray_address, "ray_address", ray_address, "goes with --engine ray")
+    require(not (by_ray and gpus), "gpus", gpus, "Ray spreads programs over GPUs by itself; leave it out")
+    spread = "goes with --processes of at least 2, which are spread over them"
+    require(processes > 1 or not gpus, "gpus", gpus, spread)
 
 
 @dataclasses.dataclass
