@@ -98,6 +98,8 @@ def traits(config: EmbodiedQAConfig) -> Traits:
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:
     """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
+    asked = splits.load_questions(config.questions or splits.SHIPPED_QUESTIONS)
+    embeddings = text.load(config.text_embeddings or splits.SHIPPED_EMBEDDINGS)
     if config.dataset:
         data = frames.load(config.dataset)
     else:
@@ -106,8 +108,6 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
         kind = f"{'-hovering' if config.hovering else ''}{'-gathered' if config.gathered else ''}"
         name = f"shelf-{config.generator_seed}{kind}-{shelf.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering, config.gathered))
-    asked = splits.load_questions(config.questions or splits.SHIPPED_QUESTIONS)
-    embeddings = text.load(config.text_embeddings or splits.SHIPPED_EMBEDDINGS)
     return from_data(data, asked, embeddings, config)
 
 
