@@ -123,6 +123,15 @@ class AdaptedTask(GoalTask):
     def fails(self, world: Any) -> jax.Array:
         return world.done > 0
 
+    def mujoco_model(self) -> Any:
+        """MuJoCo's model of the robot; None where the environment has none."""
+        env = getattr(self.env, "unwrapped", self.env)
+        return getattr(getattr(env, "sys", None), "mj_model", None) or getattr(env, "mj_model", None)
+
+    def joint_positions(self, world: Any) -> jax.Array:
+        """The positions of that model [nq], of a state of brax or Playground."""
+        return world.pipeline_state.q if hasattr(world, "pipeline_state") else world.data.qpos
+
     def is_finite(self, world: Any) -> jax.Array:
         """Whether what is seen and achieved is finite: other numbers of a simulator may be infinite by design."""
         return jnp.isfinite(self.observation(world)).all() & jnp.isfinite(self.achieved_goal(world)).all()

@@ -14,12 +14,14 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax import checks, files
+from infogoal_jax.envs.adapters import AdaptedTask
 from infogoal_jax.envs.environment import draws_itself, failed_in, has_image_goals
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.canvas import Subject
+from infogoal_jax.report.robots import RobotPainter
 from infogoal_jax.report.runs import evaluated_masks
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.disk import check_out, disk_error
@@ -152,9 +154,9 @@ class Painter(NamedTuple):
 
 
 def painter_of(env: Any, height: int) -> Painter | None:
-    """The painter of a task: of a Fetch robot, or of the pictures that the task draws itself; None for a task that
-    cannot be drawn. Raises `UserError` for a height that a robot is not drawn in; what it makes does for a picture of
-    the task's own that is no uint8 [H, W, 3]."""
+    """The painter of a task: of a Fetch robot, of a robot of brax or Playground, or of the pictures that the task draws
+    itself; None for a task that cannot be drawn. Raises `UserError` for a height that a robot is not drawn in; what it
+    makes does for a picture of the task's own that is no uint8 [H, W, 3]."""
     task = env.unwrapped
     robot = getattr(task, "robot", task)
 
@@ -171,10 +173,17 @@ def painter_of(env: Any, height: int) -> Painter | None:
         width = max(round(frame.shape[1] * height / frame.shape[0]), 1)
         return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
 
-    if isinstance(robot, Fetch):
+    is_adapted = isinstance(task, AdaptedTask) and task.mujoco_model() is not None
+    if isinstance(robot, Fetch) or is_adapted:
         low, high = HEIGHTS
         require(low <= height <= high, "height", height, f"give {low} to {high} pixels")
+    if isinstance(robot, Fetch):
         return Painter(scene, 25)
+    if is_adapted:
+        paint = RobotPainter(task, (height, height * 4 // 3))
+        return Painter(
+            lambda state: paint(inside(state)), round(np.clip(1 / float(getattr(task.env, "dt", 0.05)), 5, 60))
+        )
     if not draws_itself(task):
         return None
     draw = jax.jit(task.draw)
@@ -195,7 +204,8 @@ def policy_video(
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    undrawn = f"is of {subject.run.config.task}; videos are of Fetch, and of tasks with a draw(state)"
+    drawn = "videos are of Fetch, of robots of brax and Playground, and of tasks with a draw(state)"
+    undrawn = f"is of {subject.run.config.task}; {drawn}"
     require(painter_of(env, height) is not None, "run", name, undrawn)
     require(subject.params is not None, "run", name, "holds no parameters yet, or every seed diverged; train it first")
     goals = drawn_goals(env, episodes, seed)

@@ -226,7 +226,8 @@ def test_goal_encoders_of_both_benchmarks_share_a_table(numbers):
 def test_infogoal_differs_clearly_where_the_interval_of_paired_differences_leaves_out_0():
     none, beta_0 = np.array([0.1, 0.5, 0.9]), np.array([0.3, 0.5, 0.7])
     own = {"none": {"held out": none, "told wrong": none}, "infogoal, beta 0": {"held out": beta_0}}
-    own["infogoal"] = {"held out": none + [0.20, 0.21, 0.22], "told wrong": none + [0.3, -0.3, 0.1]}
+    leads, open_ones = np.array([0.20, 0.21, 0.22]), np.array([0.3, -0.3, 0.1])
+    own["infogoal"] = {"held out": none + leads, "told wrong": none + open_ones}
     lines = goal_encoders.clear_table({("maze", "crl"): own, ("ant", "crl"): {"none": {"": none}}}).splitlines()
     assert lines[2:] == ["| maze, `crl`, held out | 0.21±0.02 | 0.21±0.52 |  |  |", "", "1 of 2 comparisons with none."]
 

@@ -5,14 +5,17 @@ The physics has no shape for links that never touch anything; here they are caps
 
 import functools
 
-import cv2
 import mujoco
 import numpy as np
 
-from infogoal_jax.envs.fetch import model, raycast
+from infogoal_jax.envs import raycast
+from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
-from infogoal_jax.envs.fetch.raycast import (
+from infogoal_jax.envs.fetch.tasks import Task
+from infogoal_jax.envs.raycast import (
+    GOAL,
     GROUND,
+    REACHED,
     TOP,
     Box,
     Camera,
@@ -22,13 +25,12 @@ from infogoal_jax.envs.fetch.raycast import (
     Shape,
     cast,
     cast_shadows,
+    write_words,
 )
-from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.errors import require
 
 SHELL, JOINT, BLUE, FINGER = (0.93, 0.93, 0.92), (0.27, 0.29, 0.32), (0.16, 0.42, 0.72), (0.22, 0.23, 0.25)
 WOOD, CUBE, PUCK = (0.80, 0.69, 0.54), (0.05, 0.47, 0.50), (0.05, 0.47, 0.50)
-GOAL, REACHED = (0.90, 0.16, 0.13), (0.10, 0.66, 0.25)
 GOAL_RADIUS = 0.025
 
 ARM = (
@@ -146,19 +148,3 @@ def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)
     words = f"step {int(state.time)}   {100 * distance:.1f} cm to the goal" + ("   reached" if reached else "")
     write_words(frame, words, REACHED if reached else JOINT)
     return frame
-
-
-def write_words(frame: np.ndarray, words: str, colour) -> None:
-    """Write a line of text at the lower left."""
-    scale = frame.shape[0] / 900
-    place = (round(24 * scale), frame.shape[0] - round(26 * scale))
-    cv2.putText(
-        frame,
-        words,
-        place,
-        cv2.FONT_HERSHEY_SIMPLEX,
-        scale,
-        tuple(255 * part for part in colour),
-        max(1, round(2 * scale)),
-        cv2.LINE_AA,
-    )

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from infogoal_jax import envs
-from infogoal_jax.envs.fetch import raycast, scene
-from infogoal_jax.envs.fetch.raycast import Box, Camera, Capsule, Cylinder
+from infogoal_jax.envs import raycast
+from infogoal_jax.envs.fetch import scene
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.envs.raycast import Box, Camera, Capsule, Cylinder, Ellipsoid
 from infogoal_jax.errors import UserError
 
 SIZE = (96, 128)
@@ -31,6 +32,9 @@ def surface_distance(shape, points: np.ndarray) -> np.ndarray:
         share = np.clip((points - shape.start) @ axis / max(axis @ axis, 1e-12), 0, 1)
         return np.abs(np.linalg.norm(points - shape.start - share[:, None] * axis, axis=1) - shape.radius)
     local = (points - shape.center) @ shape.rotation
+    if isinstance(shape, Ellipsoid):
+        scaled = local / shape.half
+        return np.abs((scaled**2).sum(1) - 1) / (2 * np.linalg.norm(scaled / shape.half, axis=1))  # To first order.
     if isinstance(shape, Box):
         return np.abs((np.abs(local) - shape.half).max(1))
     return np.abs(np.maximum(np.linalg.norm(local[:, :2], axis=1) - shape.radius, np.abs(local[:, 2]) - shape.half))
@@ -42,10 +46,11 @@ SHAPES = [
     Cylinder(np.array([0.0, 0.1, 0.2]), TURN, 0.3, 0.2, (1, 1, 1)),
     Capsule(np.array([-0.2, 0.0, 0.0]), np.array([0.3, 0.2, 0.3]), 0.15, (1, 1, 1)),
     Capsule(np.zeros(3), np.zeros(3), 0.3, (1, 1, 1)),
+    Ellipsoid(np.array([0.1, 0.0, 0.1]), TURN, np.array([0.4, 0.2, 0.25]), (1, 1, 1)),
 ]
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=["box", "cylinder", "capsule", "sphere"])
+@pytest.mark.parametrize("shape", SHAPES, ids=["box", "cylinder", "capsule", "sphere", "ellipsoid"])
 def test_rays_meet_shapes_on_their_surface_from_outside(shape):
     camera = Camera([2.0, -1.5, 1.2], [0.0, 0.0, 0.1], (64, 64))
     rays = camera.rays.reshape(-1, 3)

@@ -1,5 +1,5 @@
-"""A small renderer without OpenGL: rays through a pinhole camera against boxes, capsules and cylinders, with soft
-shadows on level ground.
+"""A small renderer without OpenGL: rays through a pinhole camera against boxes, capsules, cylinders and ellipsoids,
+with soft shadows on level ground.
 
 numpy is fast enough for a handful of shapes: a shape is cast only over the rectangle of the picture that it can cover.
 Lengths in m, colours RGB in [0, 1].
@@ -16,6 +16,8 @@ SUPERSAMPLING = 2
 SHADOW = 0.42
 """Share of the light that a shadow takes away."""
 GROUND_COLOUR, SKY_COLOUR = (0.80, 0.81, 0.83), (0.93, 0.945, 0.96)
+GOAL, REACHED, INK = (0.90, 0.16, 0.13), (0.10, 0.66, 0.25), (0.27, 0.29, 0.32)
+"""Of a goal, of one that is reached, and of words."""
 NOTHING, GROUND, TOP = 0, 1, 2
 """What a pixel of the still scene shows, as far as shadows care: no level surface, the ground, the top of the table."""
 
@@ -127,7 +129,29 @@ class Cylinder:
         return distance, normal @ self.rotation.T
 
 
-Shape = Box | Capsule | Cylinder
+@dataclasses.dataclass(frozen=True)
+class Ellipsoid:
+    """center [3], rotation [3, 3] to the world, half lengths [3]."""
+
+    center: np.ndarray
+    rotation: np.ndarray
+    half: np.ndarray
+    colour: tuple[float, float, float]
+
+    def corners(self) -> np.ndarray:
+        """Points whose convex hull holds the shape, [N, 3]."""
+        return Box(self.center, self.rotation, self.half, self.colour).corners()
+
+    def hit(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `Box.hit`."""
+        start, along = (origin - self.center) @ self.rotation / self.half, rays @ self.rotation / self.half
+        distance = first_root((along**2).sum(1), along @ start, start @ start - 1.0)
+        point = start + np.where(np.isfinite(distance), distance, 0.0)[:, None] * along
+        normal = (point / self.half) @ self.rotation.T
+        return distance, normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+Shape = Box | Capsule | Cylinder | Ellipsoid
 
 
 def first_root(square: np.ndarray, half_linear: np.ndarray, constant: float | np.ndarray) -> np.ndarray:
@@ -260,3 +284,19 @@ def developed(picture: Picture, camera: Camera) -> np.ndarray:
     """Average the rays of each pixel: the picture as uint8 [H, W, 3]."""
     small = cv2.resize(picture.colour, camera.size[::-1], interpolation=cv2.INTER_AREA)
     return np.round(255 * np.clip(small, 0.0, 1.0)).astype(np.uint8)
+
+
+def write_words(frame: np.ndarray, words: str, colour) -> None:
+    """Write a line of text at the lower left."""
+    scale = frame.shape[0] / 900
+    place = (round(24 * scale), frame.shape[0] - round(26 * scale))
+    cv2.putText(
+        frame,
+        words,
+        place,
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        tuple(255 * part for part in colour),
+        max(1, round(2 * scale)),
+        cv2.LINE_AA,
+    )
