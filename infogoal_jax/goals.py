@@ -353,6 +353,8 @@ class GoalBox:
 
     def is_training_goal(self, goals: jax.Array) -> jax.Array:
         """Whether goals [..., D] are training goals, bool [...]."""
+        if self.use_of is None:
+            return jnp.ones(goals.shape[:-1], bool)
         uses = jax.vmap(self.use)(goals.reshape(-1, goals.shape[-1]))
         return (uses == 0).reshape(goals.shape[:-1])
 

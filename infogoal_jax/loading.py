@@ -359,6 +359,9 @@ def load_environment(config: TrainConfig, env: Any = None):
     if is_foreign(type(env.unwrapped)):
         check_goals(env)
     check_combination(config, env)
+    if not env.simulated and not env.goals.finite and env.goals.use_of is not None:
+        remedy = "the recordings would teach the goals that are held out of training; give held_out"
+        require(config.known_goals not in ("visited", "all"), "known_goals", config.known_goals, remedy)
     check_hyperparameters(config, config.hyper)
     require(
         make_learner(config).sample_spec.radius is None or env.goal_positions is not None,

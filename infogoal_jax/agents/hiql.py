@@ -51,8 +51,9 @@ class HIQLHyperparameters(offline.ExpectileHyperparameters):
 
 
 def of_length(vectors: jax.Array) -> jax.Array:
-    """Vectors [..., P] with the length of the root of P."""
-    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True) * vectors.shape[-1] ** 0.5
+    """Vectors [..., P] with the length of the root of P; those without a direction stay 0."""
+    square = jnp.square(vectors).sum(-1, keepdims=True)
+    return vectors * jax.lax.rsqrt(jnp.where(square > 0, square, 1.0)) * vectors.shape[-1] ** 0.5
 
 
 def make(config: HIQLConfig, env) -> Agent:

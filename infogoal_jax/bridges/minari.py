@@ -14,6 +14,12 @@ from infogoal_jax.data.episodes import Episodes, as_array
 from infogoal_jax.envs.goal_task import between
 from infogoal_jax.errors import UserError, require
 
+COMPOSED = ("MultiDiscrete", "MultiBinary", "Dict", "Tuple")
+"""Spaces of actions that are neither vectors nor moves."""
+ROUNDED = 1e-4
+"""How far a scaled action may lie beyond -1 to 1."""
+UNBOUNDED = 1e6
+"""A bound of actions this far out is none, such as the largest float32."""
 EPISODES_AT_ONCE = 256
 """Minari opens its file again for each batch of episodes."""
 
@@ -43,16 +49,21 @@ def episodes_of(dataset: Any) -> Episodes:
     require(known, "dataset", type(dataset).__name__, "give a MinariDataset, as minari.load_dataset makes it")
     recorded = [(one.observations, as_numbers(one.actions, "actions")) for one in dataset.iterate_episodes()]
     require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
-    moves = recorded[0][1].dtype.kind in "iu" and recorded[0][1].ndim == 1
+    space, taken = getattr(dataset, "action_space", None), recorded[0][1]
+    remedy = "give a dataset whose actions are a Box or Discrete"
+    require(type(space).__name__ not in COMPOSED, "action_space", str(space), remedy)
+    moves = taken.dtype.kind in "iu"
+    remedy = "give a move for each step, or vectors of floats"
+    require(not moves or taken.ndim == 1, "actions", f"{taken.dtype} {list(taken.shape)}", remedy)
     low, high = bounds_of(dataset)
-    first = int(getattr(getattr(dataset, "action_space", None), "start", 0)) if moves else 0
+    first = int(getattr(space, "start", 0)) if moves else 0
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
     for observations, actions in recorded:
-        is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
-        if is_goal_env:
-            goals = {f"{name}s": observations[name] for name in ("achieved_goal", "desired_goal")}
-            keys, others = (sorted(each) if isinstance(each, dict) else [] for each in goals.values())
-            require(others == keys, "desired_goals", others, f"give the keys of achieved_goals, {keys}")
+        told = observations.keys() & {"achieved_goal", "desired_goal"} if isinstance(observations, dict) else set()
+        if len(told) == 2 or (told and "observation" in observations):
+            goals = {f"{name}s": observations[name] for name in sorted(told)}
+            named = [sorted(each) if isinstance(each, dict) else [] for each in goals.values()]
+            require(named[0] == named[-1], "desired_goals", named[-1], f"give the keys of achieved_goals, {named[0]}")
             for name, each in goals.items():
                 columns.setdefault(name, []).append(as_goals(each, name))
             require("observation" in observations, "observations", sorted(observations), "give an `observation` too")
@@ -69,6 +80,7 @@ def episodes_of(dataset: Any) -> Episodes:
             columns["actions"].append(np.pad(actions.astype(np.int32) - first, (0, 1)))
         else:
             scaled = (actions - (low + high) / 2) / ((high - low) / 2)
+            check_inside(scaled, actions, space)
             columns["actions"].append(np.pad(scaled.astype(np.float32), ((0, 1), (0, 0))))
         columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
     different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
@@ -79,22 +91,37 @@ def episodes_of(dataset: Any) -> Episodes:
 
 
 def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The bounds of the dataset's actions, float64 [A] or numbers; -1 and 1 where it tells no finite ones."""
+    """The bounds of the dataset's actions, float64 [A] or numbers; -1 and 1 where it tells none."""
     space = getattr(dataset, "action_space", None)
     low, high = (np.asarray(getattr(space, name, bound), np.float64) for name, bound in (("low", -1), ("high", 1)))
-    bounded = np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()
+    bounded = max(np.abs(low).max(), np.abs(high).max()) < UNBOUNDED and (low < high).all()
     return (low, high) if bounded else (np.float64(-1), np.float64(1))
 
 
-def as_observations(observations: Any) -> np.ndarray:
+def check_inside(scaled: np.ndarray, actions: np.ndarray, space: Any) -> None:
+    """Raise `UserError` for actions of an episode [T, A] that are scaled beyond -1 to 1, with their own numbers."""
+    out = np.flatnonzero((np.abs(scaled) > 1 + ROUNDED).any(-1)) if scaled.ndim == 2 else []
+    if len(out):
+        remedy = (
+            f"lies outside of the dataset's space, {space}: give actions inside of it, or a space with their bounds"
+        )
+        require(False, f"actions[{out[0]}]", actions[out[0]].tolist(), remedy)
+
+
+def as_observations(observations: Any, field: str = "observations") -> np.ndarray:
     """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C], which uint8 [T, H, W], [T,
-    C, H, W] and stacks of frames [T, K, ...] of these become, those of a stack one behind the other in C."""
+    C, H, W] and stacks of frames [T, K, ...] of these become, those of a stack one behind the other in C. Of a tuple
+    the parts stand one behind the other, as those of a dictionary. Raises `UserError`, naming the field, for others."""
+    if isinstance(observations, tuple):
+        observations = {f"{place:03}": part for place, part in enumerate(observations)}
     if isinstance(observations, dict):
-        parts = {name: as_observations(part) for name, part in observations.items()}
+        parts = {name: as_observations(part, f"{field}[{name!r}]") for name, part in observations.items()}
         if len(parts) == 1:
             return next(iter(parts.values()))
-        return joined(parts, "observations", "give a vector for each step under each key, or one image alone")
-    found = as_numbers(observations, "observations")
+        return joined(parts, field, "give a vector for each step under each key, or one image alone")
+    found = as_numbers(observations, field)
+    remedy = "give images as uint8, from 0 to 255"
+    require(found.dtype == np.uint8 or found.ndim < 4, field, f"{found.dtype} {list(found.shape)}", remedy)
     if found.dtype != np.uint8 or found.ndim not in (3, 4, 5):
         return found.reshape(len(found), -1).astype(np.float32)
     if found.ndim == 3:
@@ -143,6 +170,8 @@ def to_minari(episodes: Episodes, out: str | os.PathLike) -> Path:
     named = re.fullmatch(r"[\w-]+-v\d+", out.name) is not None
     require(named, "out", str(out), "Minari wants names with a version, such as walks-v0")
     require(not os.path.lexists(out), "out", str(out), "is there already; give a new folder")
+    shortest = int(episodes.lengths.min())
+    require(shortest > 0, "episodes", "one of a single observation", "Minari's have a step at least; leave it out")
     library = import_minari()
     with new_folder(out, "out") as beside:
         write_episodes(library, episodes, beside / "data", out.name)
@@ -160,8 +189,8 @@ def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: 
         return spaces.Box(low, high, values.shape[1:], values.dtype.type)
 
     seen = {"observation": episodes.observations}
-    if episodes.achieved_goals is not None and episodes.desired_goals is not None:
-        seen |= {"achieved_goal": episodes.achieved_goals, "desired_goal": episodes.desired_goals}
+    goals = {"achieved_goal": episodes.achieved_goals, "desired_goal": episodes.desired_goals}
+    seen |= {key: values for key, values in goals.items() if values is not None}
     of_goals = len(seen) > 1
     described = spaces.Dict({key: space(values) for key, values in seen.items()})
     if episodes.moves:

@@ -82,11 +82,17 @@ class AdaptedTask(GoalTask):
     costly_reset = True
 
     def reset(self, key: jax.Array) -> Episode:
-        """A new episode for a training goal: with one reset of the environment, where its own goals are desired."""
+        """A new episode for a training goal. Where the environment's own goals are desired, a start comes with its
+        goal: the first of several at which it is not reached."""
         if not self.own_goals:
             return super().reset(key)
-        world = self.begin(key)
-        return self.episode(world, self.read_goal(world))
+        if self.starts == 1:
+            world = self.begin(key)
+            return self.episode(world, self.read_goal(world))
+        worlds = jax.vmap(self.begin)(jax.random.split(key, self.starts))
+        goals = jax.vmap(self.read_goal)(worlds)
+        first = (~self.reached(jax.vmap(self.read_achieved)(worlds), goals)).argmax()
+        return self.episode(jax.tree.map(lambda leaf: leaf[first], worlds), goals[first])
 
     def begin(self, key: jax.Array) -> Any:
         """A state of the environment, with numbers of fixed types."""
@@ -121,7 +127,8 @@ class AdaptedTask(GoalTask):
         return seen[:, np.array(self.shown, np.int32)] if seen.shape[1] == self.size else seen
 
     def fails(self, world: Any) -> jax.Array:
-        return world.done > 0
+        """Whether the environment is done elsewhere than at its own goal, which may be another than the desired one."""
+        return (world.done > 0) & ~self.reached(self.read_achieved(world), self.read_goal(world))
 
     def mujoco_model(self) -> Any:
         """MuJoCo's model of the robot; None where the environment has none."""

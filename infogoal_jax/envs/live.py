@@ -20,6 +20,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from numbers import Real
 from typing import Any, NamedTuple
 
 import flax.struct
@@ -131,14 +132,16 @@ def from_gymnasium(
     threshold, limit = first.threshold() if radius is None else radius, first.limit()
     require(threshold is not None, "radius", None, "the environment has no distance_threshold; give a distance")
     require(episode_length or limit, "episode_length", None, "the environment has no time limit; give one")
-    first.radius = float(threshold)
+    own = getattr(first.env.unwrapped, "distance_threshold", None)
+    own_threshold = float(own) if isinstance(own, Real) else 0.0
+    first.radius = max(float(threshold), own_threshold)  # What ends the environment's episodes for its own goal.
     said(first.name, first.check_put_back)
     batch = Batch(first, made, read, write, simulators or min(os.cpu_count() or 1, MOST_SIMULATORS))
     task = adapters.from_brax(
         batch,
         goal="desired_goal",
         achieved="achieved_goal",
-        radius=first.radius,
+        radius=float(threshold),
         episode_length=min(filter(None, (episode_length, limit))),
         ends_at_goal=ends_at_goal,
         source=source or f"{first.name} of Gymnasium, simulated",

@@ -32,7 +32,7 @@ larger than its memory, which is said then."""
 
 def with_recordings(task: GoalTask, episodes: Episodes) -> GoalTask:
     """The task with recordings to learn from. Where they tell no desired goals, each episode has a training goal of the
-    task.
+    task, which is a recorded one where nobody can act in it.
 
     What was achieved is read from the file, or else from its observations by `GoalTask.achieved_in`. Raises `UserError`
     for recordings of another task.
@@ -56,8 +56,8 @@ def with_recordings(task: GoalTask, episodes: Episodes) -> GoalTask:
         f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}",
     )
     bounds, own = episodes.action_bounds, task.action_bounds
-    if bounds is not None and own is not None:
-        own = np.asarray(own)
+    if bounds is not None:
+        own = np.array([[-1.0], [1.0]]) * np.ones(taken) if own is None else np.asarray(own)
         remedy = f"give recordings of the task, whose actions have {own.tolist()}"
         same = own.shape == bounds.shape and np.allclose(bounds, own)
         require(same, "action_bounds", bounds.tolist(), remedy)
@@ -176,6 +176,17 @@ def naming_field(field: str, value: str, path: str) -> Iterator[None]:
         raise UserError(f"{field} = {value!r}: {str(error).removeprefix(f'dataset = {path!r}: ')}") from error
 
 
+def drawn_goals(task: GoalTask, achieved: np.ndarray, count: int) -> np.ndarray:
+    """So many training goals [E, D]: drawn by the task; where nobody can act in it, from those that were achieved [N,
+    D], since a drawn vector need not be a state."""
+    if task.simulated:
+        keys = jax.random.split(jax.random.key(0), count)
+        return np.asarray(jax.jit(jax.vmap(task.goals.draw))(keys))
+    of_training = np.flatnonzero(np.asarray(jax.jit(task.goals.is_training_goal)(achieved)))
+    require(len(of_training) > 0, "held_out", "every recorded state", "leave some of them to learn from")
+    return achieved[np.random.default_rng(0).choice(of_training, count)]
+
+
 def rows_of(task: GoalTask, observations: np.ndarray, achieved: np.ndarray, episodes: Episodes) -> Trajectories:
     """The episodes as rows as long as the longest of them, each with as many whole episodes as follow each other in
     it."""
@@ -193,8 +204,7 @@ def rows_of(task: GoalTask, observations: np.ndarray, achieved: np.ndarray, epis
 
     desired = episodes.desired_goals
     if desired is None:
-        keys = jax.random.split(jax.random.key(0), len(lengths))
-        desired = np.repeat(np.asarray(jax.jit(jax.vmap(task.goals.draw))(keys)), lengths, 0)
+        desired = np.repeat(drawn_goals(task, achieved, len(lengths)), lengths, 0)
     last = episodes.last
     before_last = np.append(last[1:], False) & ~last
     within = (shape[0], shape[1] - 1)

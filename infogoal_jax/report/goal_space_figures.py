@@ -41,6 +41,7 @@ def success_over_goals(subject: Subject) -> Figure:
     success = (first_reached <= env.episode_length).mean((0, -1))
     count, num_starts = len(first_reached), first_reached.shape[-1]
     shown = f"{counted(num_starts, 'start')} a goal; {'1 seed' if count == 1 else f'mean of {count} seeds'}"
+    shown += "" if env.ends_at_goal else "; reached at any time"
     title = f"success over the goal space, epoch {subject.evaluations.epochs[-1]}"
     figure = new_figure(subject, title, (9.5, 6), shown=shown)
     axes = figure.subplots()

@@ -53,5 +53,6 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
         success, found, first = states.terminated, states.terminated, states.time
     else:
         success, found, first = at_goal[-1], at_goal.any(0), at_goal.argmax(0).astype(jnp.int32) + 1
+        success = success & ~states.diverged
         success = success & ~env.failed(states) if env.can_fail else success
     return Episodes(states.time, success, jnp.where(found, first, env.episode_length + 1), observations)

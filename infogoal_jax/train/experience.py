@@ -83,9 +83,10 @@ def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[T
 
 
 def ended_at_goal(env: Environment, rows: Trajectories) -> jax.Array:
-    """Whether an episode that no goal ends was at its goal when its time was up, without a failure, bool [R, T]."""
+    """Whether an episode that no goal ends was at its goal when its time was up, without a failure, bool [R, T].
+    A step that diverged is not valid."""
     led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
-    at_goal = rows.truncated & env.reached(led_to, rows.desired_goal)
+    at_goal = rows.truncated & rows.valid & env.reached(led_to, rows.desired_goal)
     return at_goal if rows.failed is None else at_goal & ~rows.failed
 
 

@@ -7,6 +7,7 @@ import functools
 
 import hand_made
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import vector_agents
@@ -15,6 +16,7 @@ from places import FIXTURES, recorded
 
 from infogoal_jax import UserError, agents, envs, make_train, presets
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
+from infogoal_jax.agents.hiql import of_length
 from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.learners.none import NoneConfig
 from infogoal_jax.loading import reasons_against
@@ -215,6 +217,13 @@ def test_qrl_holds_a_state_at_its_goal_whatever_else_is_rewarded():
     found = distance_loss(batch)
     assert found == distance_loss(batch.replace(reward=batch.reward + 3.0))
     assert found != distance_loss(batch.replace(at_goal=~batch.at_goal))
+
+
+def test_a_vector_of_nothing_stays_nothing_in_hiql():
+    """A state of zeros and a goal of zeros, of which its first parameters make a subgoal of zeros."""
+    nothing, slope = jax.value_and_grad(lambda vector: of_length(vector).sum())(jnp.zeros(4))
+    assert nothing == 0 and jnp.isfinite(slope).all()
+    np.testing.assert_allclose(of_length(jnp.array([3.0, 4.0, 0.0, 0.0])), [1.2, 1.6, 0.0, 0.0], rtol=1e-6)
 
 
 def test_what_is_achieved_by_no_known_goal_is_no_subgoal_of_hiql():

@@ -101,6 +101,26 @@ def test_bounds_of_actions_go_to_minari_and_back(tmp_path, monkeypatch):
     np.testing.assert_allclose(back.actions, episodes.actions, atol=1e-6)
 
 
+@needs_minari
+@pytest.mark.parametrize("kept", ["achieved_goals", "desired_goals"])
+def test_goals_of_one_kind_go_to_minari_and_back(tmp_path, monkeypatch, kept):
+    import minari
+
+    whole = made_up(np.float32, True)
+    one = {"achieved_goals": None, "desired_goals": None} | {kept: getattr(whole, kept)}
+    to_minari(dataclasses.replace(whole, **one), tmp_path / "walks-v0")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    back = episodes_of(minari.load_dataset("walks-v0"))
+    np.testing.assert_array_equal(getattr(back, kept), getattr(whole, kept))
+    assert (back.achieved_goals is None) == (kept != "achieved_goals") and back.observations.shape == (10, 3)
+
+
+def test_an_episode_of_a_single_observation_is_nothing_for_minari(tmp_path):
+    single = dataclasses.replace(made_up(np.float32, False), last=np.isin(np.arange(10), (0, 4, 9)))
+    with pytest.raises(UserError, match="^episodes = 'one of a single observation': Minari's have a step"):
+        to_minari(single, tmp_path / "walks-v0")
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [("walks", "Minari wants names with a version"), ("here-v0", "is there already; give a new folder")],
@@ -118,10 +138,28 @@ def test_actions_are_scaled_by_the_bounds_of_their_space():
     recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [episode])
     expected = [[-1.0, 1.0], [1.0, -0.5], [0.0, 0.0], [0.0, 0.0]]
     np.testing.assert_allclose(episodes_of(recorded).actions, expected, atol=1e-7)
-    space = spaces.Box(-np.inf, np.inf, (2,))
-    recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [SimpleNamespace(**vars(episode))])
-    with pytest.raises(UserError, match="rows go beyond -1 to 1"):
+    for bound in (np.inf, np.finfo(np.float32).max):  # Neither is a bound.
+        space = spaces.Box(-bound, bound, (2,))
+        recorded = SimpleNamespace(action_space=space, iterate_episodes=lambda: [SimpleNamespace(**vars(episode))])
+        with pytest.raises(UserError, match=r"^actions\[1\] = \[3.0, -0.1\]: lies outside of the dataset's space, Box"):
+            episodes_of(recorded)
+
+
+def test_several_moves_at_once_are_refused():
+    """Of a `MultiDiscrete` space, which are no vectors to be learned."""
+    episode = SimpleNamespace(observations=np.zeros((4, 1)), actions=np.array([[0, 1], [1, 1], [1, 0]]))
+    recorded = SimpleNamespace(action_space=spaces.MultiDiscrete([2, 2]), iterate_episodes=lambda: [episode])
+    with pytest.raises(UserError, match=r"^action_space = 'MultiDiscrete\(\[2 2\]\)': give a dataset whose actions"):
         episodes_of(recorded)
+
+
+def test_parts_of_a_tuple_stand_one_behind_the_other_and_what_is_no_number_is_named():
+    parts = np.arange(8.0).reshape(4, 2), np.arange(12.0).reshape(4, 3)
+    np.testing.assert_array_equal(episodes_of(as_it_is(parts)).observations, np.concatenate(parts, 1))
+    with pytest.raises(UserError, match=r"^observations\['mission'\] = .*: give numbers for each step"):
+        episodes_of(as_it_is({"mission": np.array(["go"] * 4), "place": parts[0]}))
+    with pytest.raises(UserError, match=r"^observations = 'float32 \[4, 8, 8, 3\]': give images as uint8"):
+        episodes_of(as_it_is(np.zeros((4, 8, 8, 3), np.float32)))
 
 
 THINGS = spaces.Dict({"microwave": spaces.Box(-1, 1, (1,)), "kettle": spaces.Box(-1, 1, (2,))})

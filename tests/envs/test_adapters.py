@@ -157,6 +157,15 @@ def test_recordings_of_other_numbers_are_refused(columns):
         with_recordings(line_task(), recorded(columns))
 
 
+def test_recordings_of_wider_actions_are_refused():
+    """A task that tells no bounds has -1 and 1."""
+    wide = recorded([0, 1, 2, 3, 4], action_bounds=np.array([[-2.0], [2.0]], np.float32))
+    with pytest.raises(
+        UserError, match=r"^action_bounds = .*: give recordings of the task, whose actions have \[\[-1.0"
+    ):
+        with_recordings(envs.from_brax(Line(), **PAIR), wide)
+
+
 def test_a_goal_that_recordings_do_not_show_is_asked_for():
     task = envs.from_brax(Line(), **PAIR | {"hidden": [1, 4]})
     with pytest.raises(UserError, match="^achieved_goals: is missing"):
@@ -213,6 +222,37 @@ def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
             )
             found = jax.jit(judged)(rows).terminated
             assert np.array_equal(found, np.asarray(rows.failed)[row, step])
+
+
+class Arriving(Line):
+    """It is done at its own goal, too."""
+
+    def step(self, state, action):
+        state = super().step(state, action)
+        near = jnp.abs(state.pipeline_state - state.info["goal"]) < ARGUMENTS["radius"]
+        return state.replace(done=jnp.maximum(state.done, near.astype(jnp.float32).sum()))
+
+
+def test_an_environment_that_is_done_at_its_own_goal_has_not_failed():
+    """Where episodes go on at the goal, and where another goal is desired."""
+    task = envs.from_brax(Arriving(), ends_at_goal=False, **ARGUMENTS)
+    state = task.reset(KEYS[1])
+    own = state.world.info["goal"]
+    for goal, push in ((own, 0.0), (own - 1.0, 0.0), (own, 4.0)):
+        start = state.replace(desired_goal=goal, world=state.world.replace(pipeline_state=own + push))
+        after = task.step(start, jnp.zeros(1))
+        assert bool(after.world.done > 0) and bool(task.failed(after)) == bool(after.truncated) == (push > 0)
+
+
+def test_a_start_of_an_own_goal_is_one_at_which_it_is_not_reached():
+    """Of so many starts as are asked for; a start comes with its goal."""
+    shares = []
+    for starts in (1, 16):
+        task = envs.from_brax(Line(), starts=starts, **ARGUMENTS | {"radius": 1.0})
+        begun = jax.jit(jax.vmap(task.reset))(jax.random.split(KEYS[2], 100))
+        np.testing.assert_array_equal(begun.desired_goal, begun.world.info["goal"])
+        shares.append(float(task.reached(task.achieved(begun), begun.desired_goal).mean()))
+    assert shares[0] > 0.3 and shares[1] == 0
 
 
 def test_goals_are_the_environments_own_uniform_or_some_held_out():

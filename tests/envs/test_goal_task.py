@@ -392,6 +392,27 @@ def test_an_episode_that_fails_at_its_goal_is_no_success():
     assert counted[:, 1].tolist() == [False, False] and counted[1].tolist() == [False, False, False, True]
 
 
+def test_an_episode_that_diverges_at_its_goal_is_no_success():
+    """Its last step is taken back, so that it is still there."""
+
+    def move(self, place, action):
+        return jnp.where(place[0] > 1.15, jnp.nan, place + 0.1 * action)
+
+    env = changed(begin=lambda self, key: jnp.ones(2, jnp.float32), move=move)
+    env = env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
+
+    @jax.jit
+    def run(key):
+        starts = jax.vmap(env.reset_to)(jax.random.split(key, 2), AT_EDGE)
+        rows = collect(env, starts, to_goal, key, 4)[1]
+        return run_episodes(env, starts, to_goal, key), ended_at_goal(env, rows)
+
+    episodes, counted = run(jax.random.key(0))
+    assert episodes.steps.tolist() == [3, 4] and episodes.first_reached.tolist() == [2, 1]
+    assert episodes.success.tolist() == [False, True]
+    assert not counted[0].any() and counted[1].tolist() == [False, False, False, True]
+
+
 @pytest.mark.parametrize("discrete", [False, True])
 def test_a_task_of_short_episodes_goes_with_the_preset_that_it_is_given(discrete):
     presets.register(f"short_{discrete}", changed(discrete=discrete).replace(episode_length=1))

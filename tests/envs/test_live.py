@@ -218,6 +218,23 @@ def towards(task, state, steps):
     return states[1:]
 
 
+class Ending(Mass):
+    """It is over where it counts its goal as reached, and can be stepped on."""
+
+    def step(self, action):
+        seen, reward, lost, truncated, info = super().step(action)
+        return seen, reward, info["is_success"] or lost, truncated, info
+
+
+def test_a_goal_that_is_to_be_reached_more_closely_than_the_environments_own_can_be():
+    task = envs.from_gymnasium(Ending, episode_length=3 * LIMIT, num_evaluated=2, radius=0.05)
+    states = towards(task, jax.jit(task.reset)(KEYS[1]), 3 * LIMIT)
+    ends = [bool(state.terminated) for state in states]
+    last = ends.index(True)
+    assert not any(bool(state.truncated) for state in states[:last])
+    assert np.linalg.norm(task.achieved(states[last]) - states[last].desired_goal) < 0.05
+
+
 def test_an_environment_whose_episode_ended_at_its_goal_is_not_stepped():
     """As training and evaluation step all environments, and use none of the states after an end; where an episode for
     another goal goes on, what is refused is one line."""

@@ -3,10 +3,11 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import UserError, envs, evaluate, load_run, presets, rollout
+from infogoal_jax import UserError, envs, evaluate, load_run, make_train, presets, rollout
 from infogoal_jax.bridges.gymnasium import TaskGymnasium
 from infogoal_jax.cli.main import main
 from infogoal_jax.data.episodes import Episodes, of_arrays
@@ -56,6 +57,21 @@ def test_what_nobody_can_act_in_is_not_evaluated(tmp_path, capsys):
             ask()
     with pytest.raises(UserError, match=r"^env.simulated = False: give recordings"):
         presets.register("nothing", env.replace(recorded=None))
+
+
+def test_goals_that_are_held_out_of_recordings_are_not_learned():
+    """Each episode is for a recorded state, since a drawn vector need not be one; goals that are met on the way are
+    learned unless the protocol forbids it, which is asked for."""
+    task = envs.from_recordings(walks(), held_out=lambda goal: goal[0] > 0)
+    desired = np.asarray(task.recorded.desired_goal)[:, 0]
+    places = walks().observations
+    assert (desired[:, 0] <= 0).all() and all((place == places).all(1).any() for place in desired)
+    presets.register("held_out_alone", task, presets.OGBENCH)
+    with pytest.raises(UserError, match="^known_goals = 'visited': the recordings would teach the goals"):
+        make_train(presets.load("held_out_alone", "none", agent="gcivl"), task)
+    make_train(presets.load("held_out_alone", "none", agent="gcivl", known_goals="held_out"), task)
+    with pytest.raises(UserError, match="^held_out = 'every recorded state': leave some"):
+        envs.from_recordings(walks(), held_out=lambda goal: jnp.abs(goal[0] - places[:, 0]).min() < 1e-6)
 
 
 class Told(GoalTask):
