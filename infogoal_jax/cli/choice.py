@@ -14,7 +14,7 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 
 from infogoal_jax.cli.commands import Command, Group, TaskCommands, first_word, named
 from infogoal_jax.cli.mistakes import parsed
-from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.files import expanded
 
 if TYPE_CHECKING:
@@ -135,7 +135,10 @@ def with_environment(arguments: list[str]) -> list[str]:
     if first_word(rest):
         raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
     is_file = library == "ogbench" and name.endswith(".npz")
-    return [library, *(("--env.dataset", str(expanded(name))) if is_file else ("--env.id", name)), *rest]
+    flag = "--env.dataset" if is_file else "--env.id"
+    again = [word for word in rest if word.partition("=")[0] == flag]
+    require(not again, "env", given[0], f"says what {flag} does, which is given too; leave one of both out")
+    return [library, flag, str(expanded(name)) if is_file else name, *rest]
 
 
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:

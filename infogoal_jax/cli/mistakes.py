@@ -101,7 +101,7 @@ def given_for(argument: Any, arguments: list[str]) -> str:
 
 def remedy(argument: Any) -> str:
     """What an argument takes, in words."""
-    words = re.sub(r" \[.*", "", str(argument.lowered.metavar or ""))  # Of several values, one.
+    words = re.sub(r" \[.*", "", str(argument.lowered.metavar or "")).removeprefix("[")  # Of several values, one.
     choices = argument.lowered.choices or tuple(re.sub(r"^\{|\}$", "", words).split(",")) * words.startswith("{")
     if choices and "|" not in words:
         return " or ".join(filter(None, [", ".join(choices[:-1]), choices[-1]]))

@@ -108,6 +108,15 @@ def read(archive: archives.Archive, schema: Schema, remedy: str) -> tuple[dict[s
     return found, faults
 
 
+def conversion(array: np.ndarray, kind: str) -> str:
+    """How a member becomes one of this kind, in NumPy; empty for a kind that several types have."""
+    if kind in KINDS:
+        return ""
+    if kind == "uint8" and array.dtype.kind == "f" and array.size and array.max() <= 1:
+        return ": (255 * it).round().astype(np.uint8)"
+    return f": .astype(np.{kind})"
+
+
 def fitting(
     members: Mapping[str, np.ndarray], schema: Schema
 ) -> tuple[dict[str, np.ndarray], dict[str, int], list[Fault]]:
@@ -122,7 +131,7 @@ def fitting(
         array = np.asarray(members[name])
         own = []
         if array.dtype.kind not in KINDS[kind] if kind in KINDS else array.dtype != kind:
-            own.append((name, f"is {array.dtype}; give {kind}" + ("" if kind in KINDS else f": .astype(np.{kind})")))
+            own.append((name, f"is {array.dtype}; give {kind}{conversion(array, kind)}"))
         if problem := shape_problem(array.shape, shape, lengths):
             own.append((name, problem))
         if finite and not own:

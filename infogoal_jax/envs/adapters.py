@@ -11,11 +11,12 @@ import contextlib
 import dataclasses
 import importlib
 import importlib.util
+import inspect
 import io
 import sys
 import types
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ MARGIN = 0.05
 """How far the goal space goes beyond those, as a fraction of their spread."""
 WRAPPED = ("first_obs", "first_pipeline_state", "AutoResetWrapper_first_obs", "steps", "truncation")
 """Entries of `info` that the training wrappers of brax and Playground make."""
+TRAINING = ("VmapWrapper", "DomainRandomizationVmapWrapper", "BraxDomainRandomizationVmapWrapper")
+"""Those of their wrappers that take a batch of keys; another one may be around them."""
 
 
 @flax.struct.dataclass
@@ -230,12 +233,20 @@ def from_brax(
     return task.replace(goals=goals)
 
 
+def check_arguments(arguments: dict[str, Any], settled: Collection[str] = ()) -> None:
+    """Raise `UserError` for a name that is no argument of `from_brax`, or one of those that are settled already."""
+    known = [name for name in inspect.signature(from_brax).parameters if name != "env" and name not in settled]
+    for name in arguments:
+        require_known("arguments", name, known, "no such argument")
+
+
 def from_playground(env: Any, *, config_overrides: dict[str, Any] | None = None, **arguments: Any) -> AdaptedTask:
     """An environment of MuJoCo Playground as a task: the environment, or its name there, such as "FishSwim". It is then
     simulated by MJX in JAX, not by Warp, unless `config_overrides` says otherwise. arguments: of `from_brax`.
 
     Raises `UserError` as `from_brax`, where Playground is not installed, and for a name that it does not have.
     """
+    check_arguments(arguments)
     if isinstance(env, str):
         by_name = config_overrides is None or isinstance(config_overrides, dict)
         require(by_name, "config_overrides", config_overrides, "give a dictionary of values by their names")
@@ -319,6 +330,7 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     `import_jaxgcrl`.
     Raises `UserError` as `from_brax`, where JaxGCRL is not installed, and for a name that it does not have.
     """
+    check_arguments(arguments)
     made, given = jaxgcrl_environment(name)
     env = made_quietly("name", lambda: made(**given))
     # Its observation is the state and then the goal; `goal_indices` are places of the state.
@@ -451,11 +463,15 @@ def checked_state(env: Any, action_size: int) -> Any:
     """The shapes of a state of the environment, and the types that hold it after any number of steps: what begins as
     whole numbers may go on as fractions. Raises `UserError` for an environment that cannot be stepped over and over,
     and for one with training wrappers around it."""
+    remedy = "has training wrappers, which reset to one cached start; give the environment itself"
+    outermost = type(env).__name__
+    require(outermost not in TRAINING, "env", outermost, remedy)
+    inside = type(getattr(env, "env", None)).__name__
+    require(inside not in TRAINING, "env", f"{outermost} of a {inside}", remedy)
     state = checks.traced("env.reset", lambda key: with_types(env.reset(key)), checks.Spec((2,), "uint32").struct)
     for name in ("obs", "done"):
         require(hasattr(state, name), "env.reset", type(state).__name__, f"returns a state without {name}")
     wrappers = [name for name in WRAPPED if name in (getattr(state, "info", None) or {})]
-    remedy = "has training wrappers, which reset to one cached start; give the environment itself"
     require(not wrappers, "env", type(env).__name__, remedy)
     action, narrower = checks.Spec((action_size,), "float32").struct, None
     while narrower != types_of(state):

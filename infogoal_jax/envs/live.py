@@ -41,7 +41,7 @@ MOST_NUMBERS = 1024
 MOST_SIMULATORS = 8
 GOALS_DRAWN = 256
 """Goals that are drawn to find how far they spread: a reset of such an environment takes about a millisecond."""
-PLAYED = 8
+PLAYED = 50
 """Steps for which an environment is compared with itself, put back into each state."""
 
 
@@ -113,9 +113,9 @@ def from_gymnasium(
     simulators: environments that are made, a thread each; 0: one for each core, at most 8.
     arguments: of `from_brax`: `low`, `high`, `held_out`, `num_evaluated`, `starts`.
 
-    Raises `UserError`, naming the argument, for what is no such environment, and for one that goes elsewhere once it is
-    put back into a state: where a step draws random numbers, or depends on what is not carried. Each process of a sweep
-    makes its own: by an id, or by a file that `--import` names.
+    Raises `UserError`, naming the argument, for what is no such environment, and for one that goes elsewhere within 50
+    steps once it is put back into a state: where a step draws random numbers, or depends on what is not carried. Each
+    process of a sweep makes its own: by an id, or by a file that `--import` names.
     """
     require((read is None) == (write is None), "write", write, "give both read and write, or neither")
     for name, function, count in (("read", read, 1), ("write", write, 2)):
@@ -127,6 +127,7 @@ def from_gymnasium(
         checks.whole(episode_length, "episode_length", 1, LARGEST_WHOLE)
     checks.whole(simulators, "simulators", 0, MOST_SIMULATORS)
     checks.text(source, "source", "say what is simulated, in words")
+    adapters.check_arguments(arguments, {"goal", "achieved", "hidden", "goals_drawn"})
     made = maker(make)
     first = said("make", Simulator, made, read, write)
     threshold, limit = first.threshold() if radius is None else radius, first.limit()
@@ -155,7 +156,8 @@ def maker(make: Any) -> Callable[[], Any]:
     """What makes one environment. Raises `UserError` where Gymnasium is not installed, and for an unknown id."""
     gymnasium = adapters.imported("gymnasium", "pip install 'infogoal-jax[gymnasium]'")
     if isinstance(make, str):
-        if adapters.is_there("gymnasium_robotics"):
+        others = make not in gymnasium.registry and ":" not in make
+        if others and adapters.is_there("gymnasium_robotics"):
             gymnasium.register_envs(adapters.imported("gymnasium_robotics", "pip install gymnasium-robotics"))
         known = [*gymnasium.registry]
         there = make in known or ":" in make  # `MODULE:ID` is imported by Gymnasium.

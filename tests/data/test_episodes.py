@@ -110,7 +110,7 @@ FAULTS = {
     "open end": ({"terminals": np.eye(12)[5]}, ["terminals[11]: is 0: the last 6 observations"]),
     "images of floats": (
         {"observations": np.zeros((12, 8, 8, 3), np.float32)},
-        ["observations: is float32; give uint8"],
+        ["observations: is float32; give uint8: (255 * it).round().astype(np.uint8)"],
     ),
     "channels first": (
         {"observations": np.zeros((12, 3, 8, 8), np.uint8)},

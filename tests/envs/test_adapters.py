@@ -443,6 +443,15 @@ def test_every_agent_for_vectors_trains_on_it(line, agent):
         ),
         (lambda: envs.from_playground("FishSwim", config_overrides=5, **ARGUMENTS), "config_overrides = 5: give"),
         (lambda: envs.from_playground(Line(), config_overrides={"impl": "jax"}, **ARGUMENTS), "give env by its name"),
+        (
+            lambda: envs.from_jaxgcrl("reacher", rad=1.0),
+            "arguments = 'rad': no such argument. Did you mean 'radius'? Known: goal, achieved",
+        ),
+        (lambda: envs.from_gymnasium("nothing", goal=[1]), "arguments = 'goal': no such argument"),
+        (
+            lambda: envs.from_brax(wrappers.EpisodeWrapper(wrappers.VmapWrapper(Line()), 9, 1), **ARGUMENTS),
+            "env = 'EpisodeWrapper of a VmapWrapper': has training wrappers, which reset to one cached start",
+        ),
     ],
 )
 def test_names_that_are_not_there_are_one_line(make, said):

@@ -71,6 +71,12 @@ def test_words_mean_a_task_and_a_name(words, meant):
         ("--env brax:reacher --env.goal 4 --env.achieved 0", "env.radius = 0.0: goes with --env.goal"),
         ("--env brax:reacher --env.radius -1", "env.radius = -1.0: give a distance"),
         ("--env ogbench:antmaze-v0", "env.id = 'antmaze-v0': is not in ~/.ogbench/data: ogbench.download_datasets"),
+        (
+            "--env ogbench:gone.npz --env.dataset other.npz",
+            "env = 'ogbench:gone.npz': says what --env.dataset does, which is given too; leave one of both out",
+        ),
+        ("--env brax:reacher --env.id=ant", "env = 'brax:reacher': says what --env.id does, which is given too"),
+        ("--env brax:reacher --env.goal tip --env.achieved 0", "env.goal = 'tip': give a whole number"),
         ("--env ogbench:gone.npz", "env.dataset = 'gone.npz': no such file"),
         ("ogbench", "env.id = '': name a dataset of OGBench, or give --env.dataset FILE"),
     ],
