@@ -193,8 +193,6 @@ class Place(NamedTuple):
 
     layer: int
     name: str
-    python: bool
-    """Whether it is a number of Python."""
     shape: tuple[int, ...]
     dtype: np.dtype
 
@@ -284,18 +282,20 @@ class Simulator:
                 if array is None or name.startswith("_np_random"):
                     continue
                 if not any(np.may_share_memory(array, buffer) for buffer in self.buffers):
-                    python = not isinstance(value, np.ndarray | np.generic)
-                    self.places.append(Place(number, name, python, array.shape, array.dtype))
+                    self.places.append(Place(number, name, array.shape, array.dtype))
 
     def read(self) -> np.ndarray:
         """The state, uint32 [W]."""
         parts = [np.array([data.time for data in self.datas]).tobytes(), *(each.tobytes() for each in self.buffers)]
         for place in self.places:
-            value = np.asarray(vars(self.layers[place.layer])[place.name])
+            found = vars(self.layers[place.layer])[place.name]
+            value = np.asarray(found)
             if value.shape != place.shape or not np.can_cast(value.dtype, place.dtype, "same_kind"):
                 was = checks.written(place.shape, str(place.dtype))
                 raise UserError(f"{place.name} of {self.name}: is {checks.described(value)}; it began as {was}")
-            parts.append(value.astype(place.dtype, copy=False).tobytes())
+            # Numbers of Python and NumPy calculate differently, and a step may put one in the place of the other.
+            is_python = np.uint32(not isinstance(found, np.ndarray | np.generic))
+            parts += [value.astype(place.dtype, copy=False).tobytes(), is_python.tobytes()]
         if self.own[0] is not None:
             state = said("read", self.own[0], self.env)
             parts.append(np.asarray(checks.array(state, "the state of read", "numbers"), np.float64).tobytes())
@@ -314,10 +314,12 @@ class Simulator:
         for buffer in self.buffers:
             buffer[:] = content[start : start + buffer.size]
             start += buffer.size
-        for layer, name, python, shape, dtype in self.places:
+        for layer, name, shape, dtype in self.places:
             value = np.ndarray(shape, dtype, content, start)
             start += value.nbytes
-            vars(self.layers[layer])[name] = value.item() if python else value.copy()[()]
+            is_python = content[start : start + 4].view(np.uint32)[0]
+            start += 4
+            vars(self.layers[layer])[name] = value.item() if is_python else value.copy()[()]
         if self.own[1] is not None:
             numbers = content[start : start + (content.size - start) // 8 * 8].copy().view(np.float64)
             said("write", self.own[1], self.env, numbers)

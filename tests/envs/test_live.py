@@ -218,6 +218,24 @@ def towards(task, state, steps):
     return states[1:]
 
 
+class Mixed(Hidden):
+    """Its place is a number of NumPy at first and one of Python later, which round differently beside an action."""
+
+    def begin(self):
+        self.x, self.y = self.np_random.uniform(-1, 1, 2)
+
+    def move(self, action):
+        self.x, self.y = (float(at + 0.05 * push) for at, push in zip((self.x, self.y), action, strict=True))
+
+    def seen(self):
+        place = np.array([self.x, self.y])
+        return {"observation": np.tile(place, 2), "achieved_goal": place, "desired_goal": self.goal.copy()}
+
+
+def test_numbers_of_numpy_and_of_python_are_put_back_as_what_they_were():
+    envs.from_gymnasium(Mixed, episode_length=LIMIT, num_evaluated=2)  # It is compared with itself there.
+
+
 class Ending(Mass):
     """It is over where it counts its goal as reached, and can be stepped on."""
 
