@@ -116,9 +116,9 @@ def video(
     """Draw episodes of a run's policy, or of a random one, as an mp4 or a GIF.
 
     Args:
-        subject: Folder of a run of Fetch, of brax or Playground, or of a task that draws its states; or fetch_reach,
-            fetch_push, fetch_pick_and_place or fetch_slide for a random policy, where there is no run in a folder of
-            that name.
+        subject: Folder of a run of Fetch, of another library's robot, or of a task that draws its states; or
+            fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy, where there is no run in a
+            folder of that name.
         out: File to write; must end in .mp4 or .gif.
         episodes: Episodes, one after the other.
         seed: Seed of starts, goals, actions and backgrounds.

@@ -82,6 +82,14 @@ class LiveTask(AdaptedTask):
         apart = achieved is not None and seen.ndim == 2 and seen.shape[1] + achieved.shape[1] == len(self.shown)
         return np.concatenate([achieved, seen], 1) if apart else super().recorded_observation(episodes)
 
+    def mujoco_model(self) -> Any:
+        """MuJoCo's model of the robot; None where the environment has none."""
+        return self.env.mujoco_model
+
+    def joint_positions(self, world: Row) -> np.ndarray:
+        """The positions of that model [nq]; not in a compiled program."""
+        return self.env.joint_positions(np.asarray(world.bytes))
+
     @property
     def action_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Those of the environment."""
@@ -449,11 +457,20 @@ class Batch:
         self.free: queue.SimpleQueue = queue.SimpleQueue()
         self.threads = ThreadPoolExecutor(count)
         self.count = count
+        self.mujoco_model = first.datas[0].model if first.datas else None
         self.shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), first.reset(0))
         for number in range(count):
             simulator = Simulator(make, read, write) if number else first
             simulator.start, simulator.radius = first.start, first.radius
             self.free.put(simulator)
+
+    def joint_positions(self, words: np.ndarray) -> np.ndarray:
+        """The joints' positions of MuJoCo [nq] in a state [W]."""
+        simulator = self.free.get()
+        simulator.write(words)
+        found = simulator.datas[0].qpos.copy()
+        self.free.put(simulator)
+        return found
 
     def reset(self, key: jax.Array) -> Row:
         """A new episode, seeded by the last word of a key."""

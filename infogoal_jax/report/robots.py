@@ -1,8 +1,8 @@
-"""Pictures of robots of brax and MuJoCo Playground, without OpenGL: the geoms of their MuJoCo models where a state has
-them, and the goal where the body that achieves it has to be.
+"""Pictures of robots of brax, MuJoCo Playground and Gymnasium, without OpenGL: the geoms of their MuJoCo models where a
+state has them, and the goal where the body that achieves it has to be.
 
 The environment's own marks of a goal, bodies and geoms that are called `target` or `goal`, are left out: an episode may
-have another goal than the one that the environment drew.
+have another goal than the one that the environment drew. So are mocap bodies, which have no joints.
 """
 
 import re
@@ -69,9 +69,9 @@ class RobotPainter:
         self.model = model = task.mujoco_model()
         self.data = mujoco.MjData(model)
         drawn = [geom for geom in range(model.ngeom) if self.is_drawn(geom)]
-        is_still = model.body_weldid[model.geom_bodyid] == 0
-        self.moving = [geom for geom in drawn if not is_still[geom]]
-        self.standing = [geom for geom in drawn if is_still[geom]]
+        moves = model.body_weldid[model.geom_bodyid] != 0
+        self.moving = [geom for geom in drawn if moves[geom]] or np.flatnonzero(moves).tolist()
+        self.standing = [geom for geom in drawn if not moves[geom]]
         self.view: View | None = None
         self.achieving: int | None = None
         """Which of `places` achieves the goal; None as long as it is not known."""
@@ -81,11 +81,13 @@ class RobotPainter:
         model, kind = self.model, mujoco.mjtGeom(self.model.geom_type[geom])
         material = model.geom_matid[geom]
         opacity = model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]
-        names = model.geom(geom).name, model.body(model.geom_bodyid[geom]).name
+        body = model.geom_bodyid[geom]
+        names = model.geom(geom).name, model.body(body).name
         return (
             kind not in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
             and model.geom_group[geom] < FIRST_HIDDEN_GROUP
             and opacity > 0
+            and model.body_mocapid[body] < 0
             and not any(map(OF_A_GOAL.search, names))
         )
 

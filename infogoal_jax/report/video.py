@@ -154,7 +154,7 @@ class Painter(NamedTuple):
 
 
 def painter_of(env: Any, height: int) -> Painter | None:
-    """The painter of a task: of a Fetch robot, of a robot of brax or Playground, or of the pictures that the task draws
+    """The painter of a task: of a Fetch robot, of another library's robot, or of the pictures that the task draws
     itself; None for a task that cannot be drawn. Raises `UserError` for a height that a robot is not drawn in; what it
     makes does for a picture of the task's own that is no uint8 [H, W, 3]."""
     task = env.unwrapped
@@ -204,7 +204,7 @@ def policy_video(
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    drawn = "videos are of Fetch, of robots of brax and Playground, and of tasks with a draw(state)"
+    drawn = "videos are of Fetch, of robots that have a MuJoCo model, and of tasks with a draw(state)"
     undrawn = f"is of {subject.run.config.task}; {drawn}"
     require(painter_of(env, height) is not None, "run", name, undrawn)
     require(subject.params is not None, "run", name, "holds no parameters yet, or every seed diverged; train it first")

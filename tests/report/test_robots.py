@@ -6,6 +6,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from hand_made_robots import Mass
 
 from infogoal_jax import envs
 from infogoal_jax.envs import raycast
@@ -96,6 +97,17 @@ def test_a_goal_that_is_no_place_is_told_in_words_alone():
     painter = made(count=4)
     frame = painter(at(0.0, 0.0, goal=(0.5, 0.5, 0.5, 0.5))).astype(int)
     assert not (frame[..., 0] > frame[..., 1:].max(-1) + 60).any() and painter.achieving is None
+
+
+def test_a_robot_of_gymnasium_is_drawn_where_its_state_has_it():
+    env = envs.from_gymnasium(Mass, episode_length=9, num_evaluated=2, simulators=1)
+    painter, state = RobotPainter(env, SIZE), jax.jit(env.reset)(jax.random.key(0))
+    for _ in range(2):
+        frame = painter(state)
+        place = np.append(np.asarray(env.achieved(state)), 0.0)
+        np.testing.assert_allclose(painter.data.qpos, place[:2], atol=0.05)  # It sees its place a substep ago.
+        assert painter.achieving is not None and frame.shape == (*SIZE, 3)
+        state = jax.jit(env.step)(state, np.ones(2, np.float32))
 
 
 @pytest.mark.long
