@@ -138,7 +138,7 @@ class RobotPainter:
     def view_of(self, place: np.ndarray | None) -> View:
         """The view that holds all that moves, and the goal: the last one if it does."""
         middles, radii = self.data.geom_xpos[self.moving], self.model.geom_rbound[self.moving, None]
-        goals = [] if place is None else [place]
+        goals = [] if place is None else [place - self.task.radius, place + self.task.radius]
         low, high = np.array([*(middles - radii), *goals]).min(0), np.array([*(middles + radii), *goals]).max(0)
         middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
         old = self.view
