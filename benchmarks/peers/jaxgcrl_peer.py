@@ -259,8 +259,8 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float, keep
         seconds = np.median(np.diff(walls)) * np.arange(1, len(walls) + 1)
         updates = len(steps) * rounds * (learned // sizes.batch_size)
         compiling = time.perf_counter() - started - float(seconds[-1])
-        curve, machine = [success[:]], describe_machine()
-        keep(Outcome(task, agent, "theirs", machine, seed, steps[:], seconds.tolist(), curve, 1, updates, compiling))
+        machine = describe_machine()
+        keep(Outcome(task, agent, "theirs", machine, seed, steps, seconds.tolist(), [success], 1, updates, compiling))
         if time.perf_counter() > deadline or len(steps) >= sizes.rounds:
             raise BudgetSpentError
 
@@ -304,11 +304,12 @@ def main() -> None:
     sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
     sizes = dataclasses.replace(sizes, rounds=words.rounds)
     deadline = time.perf_counter() + words.budget
-    done = load([words.out])
+    done = {(*each.program(), each.seed): each for each in load([words.out])}
 
     def keep(outcome: Outcome) -> None:
         """Write what is done, with this."""
-        words.out.write_text(json.dumps([dataclasses.asdict(each) for each in [*done, outcome]]))
+        done[(*outcome.program(), outcome.seed)] = outcome
+        words.out.write_text(json.dumps([dataclasses.asdict(each) for each in done.values()]))
 
     def runs() -> Iterator[tuple[str, str, str, int]]:
         """Ours first, then a seed of each of theirs, so that what the budget leaves out are seeds."""
@@ -321,7 +322,7 @@ def main() -> None:
                     yield task, agent, "theirs", seed
 
     for task, agent, side, seed in runs():
-        if any(each.program() == (task, agent, side) and each.seed == seed for each in done):
+        if (task, agent, side, seed) in done:
             continue
         if time.perf_counter() > deadline:
             print("the budget is spent; the same command goes on", file=sys.stderr)
@@ -333,7 +334,6 @@ def main() -> None:
                 theirs(task, agent, sizes, seed, deadline, keep)
         except UserError as error:
             parser.error(str(error))
-        done = load([words.out])
 
 
 if __name__ == "__main__":

@@ -10,14 +10,12 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.data.archives import new_folder
-from infogoal_jax.data.episodes import Episodes, as_array
+from infogoal_jax.data.episodes import WITHIN, Episodes, as_array
 from infogoal_jax.envs.goal_task import between
 from infogoal_jax.errors import UserError, require
 
 COMPOSED = ("MultiDiscrete", "MultiBinary", "Dict", "Tuple")
 """Spaces of actions that are neither vectors nor moves."""
-ROUNDED = 1e-4
-"""How far a scaled action may lie beyond -1 to 1."""
 UNBOUNDED = 1e6
 """A bound of actions this far out is none, such as the largest float32."""
 EPISODES_AT_ONCE = 256
@@ -49,13 +47,11 @@ def episodes_of(dataset: Any) -> Episodes:
     require(known, "dataset", type(dataset).__name__, "give a MinariDataset, as minari.load_dataset makes it")
     recorded = [(one.observations, as_numbers(one.actions, "actions")) for one in dataset.iterate_episodes()]
     require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
-    space, taken = getattr(dataset, "action_space", None), recorded[0][1]
+    space = getattr(dataset, "action_space", None)
     remedy = "give a dataset whose actions are a Box or Discrete"
     require(type(space).__name__ not in COMPOSED, "action_space", str(space), remedy)
-    moves = taken.dtype.kind in "iu"
-    remedy = "give a move for each step, or vectors of floats"
-    require(not moves or taken.ndim == 1, "actions", f"{taken.dtype} {list(taken.shape)}", remedy)
-    low, high = bounds_of(dataset)
+    moves = recorded[0][1].dtype.kind in "iu"
+    low, high = bounds_of(space)
     first = int(getattr(space, "start", 0)) if moves else 0
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
     for observations, actions in recorded:
@@ -90,9 +86,8 @@ def episodes_of(dataset: Any) -> Episodes:
     return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()}, action_bounds=bounds)
 
 
-def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The bounds of the dataset's actions, float64 [A] or numbers; -1 and 1 where it tells none."""
-    space = getattr(dataset, "action_space", None)
+def bounds_of(space: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds of a space of actions, float64 [A] or numbers; -1 and 1 where it tells none."""
     low, high = (np.asarray(getattr(space, name, bound), np.float64) for name, bound in (("low", -1), ("high", 1)))
     bounded = max(np.abs(low).max(), np.abs(high).max()) < UNBOUNDED and (low < high).all()
     return (low, high) if bounded else (np.float64(-1), np.float64(1))
@@ -100,12 +95,11 @@ def bounds_of(dataset: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def check_inside(scaled: np.ndarray, actions: np.ndarray, space: Any) -> None:
     """Raise `UserError` for actions of an episode [T, A] that are scaled beyond -1 to 1, with their own numbers."""
-    out = np.flatnonzero((np.abs(scaled) > 1 + ROUNDED).any(-1)) if scaled.ndim == 2 else []
+    out = np.flatnonzero((np.abs(scaled) > 1 + WITHIN).any(-1)) if scaled.ndim == 2 else []
     if len(out):
-        remedy = (
-            f"lies outside of the dataset's space, {space}: give actions inside of it, or a space with their bounds"
-        )
-        require(False, f"actions[{out[0]}]", actions[out[0]].tolist(), remedy)
+        place = f"lies outside of the dataset's space, {space}"
+        given = f"actions[{out[0]}] = {actions[out[0]].tolist()}"
+        raise UserError(f"{given}: {place}: give actions inside of it, or a space with their bounds")
 
 
 def as_observations(observations: Any, field: str = "observations") -> np.ndarray:

@@ -94,7 +94,7 @@ class AdaptedTask(GoalTask):
             return self.episode(world, self.read_goal(world))
         worlds = jax.vmap(self.begin)(jax.random.split(key, self.starts))
         goals = jax.vmap(self.read_goal)(worlds)
-        first = (~self.reached(jax.vmap(self.read_achieved)(worlds), goals)).argmax()
+        first = self.first_away(worlds, goals)
         return self.episode(jax.tree.map(lambda leaf: leaf[first], worlds), goals[first])
 
     def begin(self, key: jax.Array) -> Any:

@@ -182,8 +182,9 @@ def data_of(env: Environment) -> str:
 
 
 def failed_in(env: Environment, state: Any) -> jax.Array:
-    """Whether the episode has failed in this state, bool; of a task whose episodes never do, too."""
-    return env.failed(state) if env.can_fail else jnp.zeros((), bool)
+    """Whether the episode has failed in this state, or diverged, bool; of states [E], bool [E]. Of a task whose
+    episodes never fail, too."""
+    return env.failed(state) | state.diverged if env.can_fail else state.diverged
 
 
 def draws_itself(env: Environment) -> bool:

@@ -145,8 +145,13 @@ class GoalTask(Environment):
     def reset_to(self, key: jax.Array, goal: jax.Array) -> Episode:
         """A new episode for this goal [D]: the first of several starts at which it is not reached."""
         worlds = jax.vmap(self.begin)(jax.random.split(key, self.starts))
-        away = ~self.reached(jax.vmap(self.achieved_goal)(worlds), goal)
-        return self.episode(jax.tree.map(lambda leaf: leaf[away.argmax()], worlds), goal)
+        first = self.first_away(worlds, goal)
+        return self.episode(jax.tree.map(lambda leaf: leaf[first], worlds), goal)
+
+    def first_away(self, worlds: Any, goals: jax.Array) -> jax.Array:
+        """The number of the first of these worlds [S] at which its goal is not reached, int32; 0 if each is. goals: one
+        for all [D], or one for each [S, D]."""
+        return (~self.reached(jax.vmap(self.achieved_goal)(worlds), goals)).argmax()
 
     def episode(self, world: Any, goal: jax.Array) -> Episode:
         """A new episode that starts in this world."""

@@ -2,7 +2,7 @@
 with soft shadows on level ground.
 
 numpy is fast enough for a handful of shapes: a shape is cast only over the rectangle of the picture that it can cover.
-Lengths in m, colours RGB in [0, 1].
+Lengths in m, or in what else a scene is measured in; colours RGB in [0, 1].
 """
 
 import dataclasses
@@ -129,18 +129,8 @@ class Cylinder:
         return distance, normal @ self.rotation.T
 
 
-@dataclasses.dataclass(frozen=True)
-class Ellipsoid:
-    """center [3], rotation [3, 3] to the world, half lengths [3]."""
-
-    center: np.ndarray
-    rotation: np.ndarray
-    half: np.ndarray
-    colour: tuple[float, float, float]
-
-    def corners(self) -> np.ndarray:
-        """Points whose convex hull holds the shape, [N, 3]."""
-        return Box(self.center, self.rotation, self.half, self.colour).corners()
+class Ellipsoid(Box):
+    """The ellipsoid that touches all sides of the box."""
 
     def hit(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `Box.hit`."""
@@ -159,6 +149,12 @@ def first_root(square: np.ndarray, half_linear: np.ndarray, constant: float | np
     discriminant = half_linear**2 - square * constant
     root = (-half_linear - np.sqrt(np.maximum(discriminant, 0.0))) / np.maximum(square, 1e-12)
     return np.where((discriminant >= 0) & (root > 0), root, np.inf)
+
+
+def direction(around: float, above: float) -> np.ndarray:
+    """The unit vector [3] that is turned around the vertical and rises above the ground by so many degrees."""
+    around, above = np.radians((around, above))
+    return np.array([np.cos(around) * np.cos(above), np.sin(around) * np.cos(above), np.sin(above)])
 
 
 class Camera:

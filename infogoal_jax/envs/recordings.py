@@ -176,7 +176,7 @@ def naming_field(field: str, value: str, path: str) -> Iterator[None]:
         raise UserError(f"{field} = {value!r}: {str(error).removeprefix(f'dataset = {path!r}: ')}") from error
 
 
-def drawn_goals(task: GoalTask, achieved: np.ndarray, count: int) -> np.ndarray:
+def goals_of_episodes(task: GoalTask, achieved: np.ndarray, count: int) -> np.ndarray:
     """So many training goals [E, D]: drawn by the task; where nobody can act in it, from those that were achieved [N,
     D], since a drawn vector need not be a state."""
     if task.simulated:
@@ -204,7 +204,7 @@ def rows_of(task: GoalTask, observations: np.ndarray, achieved: np.ndarray, epis
 
     desired = episodes.desired_goals
     if desired is None:
-        desired = np.repeat(drawn_goals(task, achieved, len(lengths)), lengths, 0)
+        desired = np.repeat(goals_of_episodes(task, achieved, len(lengths)), lengths, 0)
     last = episodes.last
     before_last = np.append(last[1:], False) & ~last
     within = (shape[0], shape[1] - 1)

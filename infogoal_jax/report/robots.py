@@ -28,6 +28,7 @@ from infogoal_jax.envs.raycast import (
     cast_marker,
     cast_shadows,
     developed,
+    direction,
     empty_picture,
     write_words,
 )
@@ -43,7 +44,8 @@ SMALL = 2.5
 """A view this many times as large as what moves is too large."""
 AWAY = 2.8
 """From the camera to the middle of a view, in radii of the view."""
-AROUND, ABOVE = np.radians(-42.0), np.radians(30.0)
+AROUND, ABOVE = -42.0, 30.0
+"""Degrees by which the camera is turned around the middle, and looks down."""
 LEAST_MARK = 0.03
 """Of a goal's radius, in radii of the view."""
 
@@ -59,6 +61,10 @@ class View(NamedTuple):
     """[3], the point of the ground below the middle, in the world."""
     camera: Camera
     still: Picture
+
+    def seen(self, place: np.ndarray) -> np.ndarray:
+        """Where a place [3] of the world is in the view."""
+        return (place - self.origin) / self.radius
 
 
 class RobotPainter:
@@ -76,17 +82,20 @@ class RobotPainter:
         self.achieving: int | None = None
         """Which of `places` achieves the goal; None as long as it is not known."""
 
+    def colour(self, geom: int) -> np.ndarray:
+        """Red, green, blue and opacity [4] of a geom: its material's, if it has one."""
+        material = self.model.geom_matid[geom]
+        return self.model.mat_rgba[material] if material >= 0 else self.model.geom_rgba[geom]
+
     def is_drawn(self, geom: int) -> bool:
         """Whether a geom can be seen, and is no mark of a goal."""
         model, kind = self.model, mujoco.mjtGeom(self.model.geom_type[geom])
-        material = model.geom_matid[geom]
-        opacity = model.mat_rgba[material, 3] if material >= 0 else model.geom_rgba[geom, 3]
         body = model.geom_bodyid[geom]
         names = model.geom(geom).name, model.body(body).name
         return (
             kind not in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
             and model.geom_group[geom] < FIRST_HIDDEN_GROUP
-            and opacity > 0
+            and self.colour(geom)[3] > 0
             and model.body_mocapid[body] < 0
             and not any(map(OF_A_GOAL.search, names))
         )
@@ -102,7 +111,7 @@ class RobotPainter:
         shapes = [self.shape(geom, view) for geom in self.moving]
         marks = []
         if place is not None:
-            middle = self.seen_at(place, view)
+            middle = view.seen(place)
             marks = [Capsule(middle, middle, max(self.task.radius / view.radius, LEAST_MARK), colour)]
         cast_shadows(picture, view.camera, shapes + marks, {GROUND: 0.0})
         for shape in shapes:
@@ -147,8 +156,7 @@ class RobotPainter:
         radius *= ROOM
         origin = np.array([*middle[:2], self.ground(low[2])])
         target = (middle - origin) / radius
-        away = np.array([np.cos(AROUND) * np.cos(ABOVE), np.sin(AROUND) * np.cos(ABOVE), np.sin(ABOVE)])
-        camera = Camera(target + AWAY * away, target, self.size)
+        camera = Camera(target + AWAY * direction(AROUND, ABOVE), target, self.size)
         view = View(middle, radius, origin, camera, empty_picture(camera))
         shapes = [self.shape(geom, view) for geom in self.standing]
         cast_shadows(view.still, camera, shapes, {GROUND: 0.0})
@@ -162,16 +170,11 @@ class RobotPainter:
         heights = [self.data.geom_xpos[plane, 2] for plane in planes if self.data.geom_xmat[plane, 8] > 0.99]
         return float(heights[0]) if heights else float(lowest)
 
-    def seen_at(self, place: np.ndarray, view: View) -> np.ndarray:
-        """A place of the world in a view."""
-        return (place - view.origin) / view.radius
-
     def shape(self, geom: int, view: View) -> Shape:
         """A geom in a view. A mesh is the box around it."""
         model, kind = self.model, mujoco.mjtGeom(self.model.geom_type[geom])
         turn, size = self.data.geom_xmat[geom].reshape(3, 3), model.geom_size[geom] / view.radius
-        middle, material = self.seen_at(self.data.geom_xpos[geom], view), model.geom_matid[geom]
-        colour = tuple(model.mat_rgba[material, :3] if material >= 0 else model.geom_rgba[geom, :3])
+        middle, colour = view.seen(self.data.geom_xpos[geom]), tuple(self.colour(geom)[:3])
         match kind:
             case mujoco.mjtGeom.mjGEOM_SPHERE:
                 return Capsule(middle, middle, size[0], colour)

@@ -180,10 +180,8 @@ def painter_of(env: Any, height: int) -> Painter | None:
     if isinstance(robot, Fetch):
         return Painter(scene, 25)
     if is_adapted:
-        paint = RobotPainter(task, (height, height * 4 // 3))
-        return Painter(
-            lambda state: paint(inside(state)), round(np.clip(1 / float(getattr(task.env, "dt", 0.05)), 5, 60))
-        )
+        paint, seconds = RobotPainter(task, (height, height * 4 // 3)), float(getattr(task.env, "dt", 0.05))
+        return Painter(lambda state: paint(inside(state)), round(np.clip(1 / seconds, 5, 60)))
     if not draws_itself(task):
         return None
     draw = jax.jit(task.draw)

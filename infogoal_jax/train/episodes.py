@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import checks
+from infogoal_jax.envs.environment import failed_in
 from infogoal_jax.train.contracts import check_is_environment, check_simulated, checked_policy
 from infogoal_jax.train.rollout import Policy, chosen
 
@@ -52,7 +53,6 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
     if env.ends_at_goal:
         success, found, first = states.terminated, states.terminated, states.time
     else:
-        success, found, first = at_goal[-1], at_goal.any(0), at_goal.argmax(0).astype(jnp.int32) + 1
-        success = success & ~states.diverged
-        success = success & ~env.failed(states) if env.can_fail else success
+        success = at_goal[-1] & ~failed_in(env, states)
+        found, first = at_goal.any(0), at_goal.argmax(0).astype(jnp.int32) + 1
     return Episodes(states.time, success, jnp.where(found, first, env.episode_length + 1), observations)

@@ -376,30 +376,9 @@ def test_a_video_counts_no_success_where_an_episode_fails_at_its_goal(tmp_path):
     assert drawn_video(env, to_goal, tmp_path / "falling.gif", AT_EDGE, seed=0, height=16) == [False, True]
 
 
-def test_an_episode_that_fails_at_its_goal_is_no_success():
-    """Where no goal ends an episode."""
-    env, policy = falling(), to_goal
-
-    @jax.jit
-    def run(key):
-        starts = jax.vmap(env.reset_to)(jax.random.split(key, 2), AT_EDGE)
-        rows = collect(env, starts, policy, key, 4)[1]
-        return run_episodes(env, starts, policy, key), ended_at_goal(env, rows)
-
-    episodes, counted = run(jax.random.key(0))
-    assert episodes.steps.tolist() == [2, 4] and episodes.first_reached.tolist() == [2, 1]
-    assert episodes.success.tolist() == [False, True]
-    assert counted[:, 1].tolist() == [False, False] and counted[1].tolist() == [False, False, False, True]
-
-
-def test_an_episode_that_diverges_at_its_goal_is_no_success():
-    """Its last step is taken back, so that it is still there."""
-
-    def move(self, place, action):
-        return jnp.where(place[0] > 1.15, jnp.nan, place + 0.1 * action)
-
-    env = changed(begin=lambda self, key: jnp.ones(2, jnp.float32), move=move)
-    env = env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
+def played_and_collected(env):
+    """Episodes for the goals at the edge, as they are evaluated, and which of the same steps count as success in
+    training."""
 
     @jax.jit
     def run(key):
@@ -407,10 +386,34 @@ def test_an_episode_that_diverges_at_its_goal_is_no_success():
         rows = collect(env, starts, to_goal, key, 4)[1]
         return run_episodes(env, starts, to_goal, key), ended_at_goal(env, rows)
 
-    episodes, counted = run(jax.random.key(0))
+    return run(jax.random.key(0))
+
+
+def test_an_episode_that_fails_at_its_goal_is_no_success():
+    """Where no goal ends an episode."""
+    episodes, counted = played_and_collected(falling())
+    assert episodes.steps.tolist() == [2, 4] and episodes.first_reached.tolist() == [2, 1]
+    assert episodes.success.tolist() == [False, True]
+    assert counted[:, 1].tolist() == [False, False] and counted[1].tolist() == [False, False, False, True]
+
+
+def test_an_episode_that_diverges_at_its_goal_is_no_success(tmp_path):
+    """Its last step is taken back, so that it is still there. In a video neither."""
+
+    def move(self, place, action):
+        return jnp.where(place[0] > 1.15, jnp.nan, place + 0.1 * action)
+
+    def draw(self, state):
+        return jnp.zeros((16, 16, 3), jnp.uint8)
+
+    env = changed(begin=lambda self, key: jnp.ones(2, jnp.float32), move=move, draw=draw)
+    env = env.replace(radius=0.15, episode_length=4, ends_at_goal=False)
+
+    episodes, counted = played_and_collected(env)
     assert episodes.steps.tolist() == [3, 4] and episodes.first_reached.tolist() == [2, 1]
     assert episodes.success.tolist() == [False, True]
     assert not counted[0].any() and counted[1].tolist() == [False, False, False, True]
+    assert drawn_video(env, to_goal, tmp_path / "leaving.gif", AT_EDGE, seed=0, height=16) == [False, True]
 
 
 @pytest.mark.parametrize("discrete", [False, True])

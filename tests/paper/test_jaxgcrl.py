@@ -82,9 +82,8 @@ def test_what_no_side_learned_is_one_line_in_place_of_rows():
     sides = [outcome("ours", seeds=2, success=0.02), outcome("theirs", success=0.01)]
     assert jaxgcrl.rows(sides, []) == []
     assert "ant, crl (2 and 1, " in jaxgcrl.unlearned(sides)
-    assert (
-        jaxgcrl.unlearned([outcome("ours"), sides[1]]) == "" and len(jaxgcrl.rows([outcome("ours"), sides[1]], [])) == 2
-    )
+    one_learned = [outcome("ours"), sides[1]]
+    assert jaxgcrl.unlearned(one_learned) == "" and len(jaxgcrl.rows(one_learned, [])) == 2
 
 
 def test_a_side_has_one_colour_in_every_panel_and_a_line_of_the_legend(tmp_path, monkeypatch):

@@ -53,7 +53,7 @@ def at(*place: float, goal=(0.5, -0.2), time: int = 7) -> types.SimpleNamespace:
 
 def colour_at(painter: RobotPainter, frame: np.ndarray, place) -> np.ndarray:
     """What a picture shows of a place of the world."""
-    seen = painter.seen_at(np.array(place, float), painter.view)
+    seen = painter.view.seen(np.array(place, float))
     column, row = np.round(painter.view.camera.project(seen[None])[0] / raycast.SUPERSAMPLING - 0.5).astype(int)
     return frame[row, column].astype(int)
 
@@ -63,9 +63,8 @@ def test_shapes_and_the_goal_are_seen_where_they_are():
     frame = painter(at(0.0, 0.0))
     assert frame.shape == (*SIZE, 3) and frame.dtype == np.uint8
     red, green, blue = np.moveaxis(frame.astype(int), -1, 0)
-    assert (
-        colour_at(painter, frame, [0.0, 0.0, 0.05])[1] > colour_at(painter, frame, [0.0, 0.0, 0.05])[[0, 2]].max() + 60
-    )
+    torso = colour_at(painter, frame, [0.0, 0.0, 0.05])
+    assert torso[1] > torso[[0, 2]].max() + 60
     marked = colour_at(painter, frame, [0.5, -0.2, 0.0])  # At the height of the torso, which achieves it.
     assert marked[0] > marked[1:].max() + 40
     assert (blue > red + 60).sum() > 20  # The wall, which never moves.

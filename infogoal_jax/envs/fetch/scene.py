@@ -15,6 +15,7 @@ from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.raycast import (
     GOAL,
     GROUND,
+    INK,
     REACHED,
     TOP,
     Box,
@@ -105,9 +106,7 @@ def still_scene(task: Task, size: tuple[int, int]) -> tuple[Camera, Picture]:
     middle = table.mean(0)[:2]
     reach = 1.95 if not task.puck else 2.45
     target = np.array([middle[0] - 0.19, middle[1], 0.52])
-    around, above = np.radians(-42.0), np.radians(24.0)
-    away = np.array([np.cos(around) * np.cos(above), np.sin(around) * np.cos(above), np.sin(above)])
-    camera = Camera(target + reach * away, target, size)
+    camera = Camera(target + reach * raycast.direction(-42.0, 24.0), target, size)
     picture = raycast.empty_picture(camera)
     *robot, surface = still_shapes(task)
     cast(picture, camera, surface, top=True)
@@ -146,5 +145,5 @@ def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)
     raycast.cast_marker(picture, camera, marker, 0.72, 0.35)
     frame = raycast.developed(picture, camera)
     words = f"step {int(state.time)}   {100 * distance:.1f} cm to the goal" + ("   reached" if reached else "")
-    write_words(frame, words, REACHED if reached else JOINT)
+    write_words(frame, words, REACHED if reached else INK)
     return frame
