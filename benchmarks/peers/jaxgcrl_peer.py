@@ -35,6 +35,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +49,9 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import chunk_of
+from infogoal_jax.train.experience import collect_epoch
+from infogoal_jax.train.program import Train
+from infogoal_jax.train.rollout import restarted
 from infogoal_paper.jaxgcrl import Outcome, load
 
 OURS = presets.JAXGCRL.training
@@ -100,9 +104,8 @@ TOY = Sizes(
 )
 
 
-def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float, keep: Keep) -> None:
-    """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
-    first evaluation after the deadline, in seconds of `time.perf_counter`."""
+def our_train(task: str, agent: str, side: str, sizes: Sizes) -> tuple[Train, int]:
+    """The training function of one of our agents, and its epochs between evaluations."""
     task_env = envs.from_jaxgcrl(
         task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=sizes.num_eval
     )
@@ -127,8 +130,19 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
     floats = floats | ({"epsilon": 0.1} if agent == "td3" else {})
     learner = dataclasses.replace(config.learner, **fields)
     config = dataclasses.replace(config, hyper=with_values(config.hyper, floats), learner=learner)
-    train = make_train(config, task_env)
-    keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
+    return make_train(config, task_env), per_evaluation
+
+
+def keys_of(seeds: int) -> jax.Array:
+    """The keys of the first seeds."""
+    return jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
+
+
+def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float, keep: Keep) -> None:
+    """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
+    first evaluation after the deadline, in seconds of `time.perf_counter`."""
+    train, per_evaluation = our_train(task, agent, side, sizes)
+    config, keys = train.config, keys_of(seeds)
 
     started = time.perf_counter()
     shared = (config.hyper, train.env)
@@ -276,6 +290,46 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float, keep
                 raise
 
 
+def parts(task: str, agent: str, sizes: Sizes, seeds: int, epochs: int = 3) -> dict[str, Any]:
+    """Environment steps a second, of all seeds, of what an epoch of ours is made of: the environments alone, under
+    random actions; collecting, which is them, the policy and the buffer; and everything, with the updates."""
+    train, _ = our_train(task, agent, "ours", sizes)
+    config, env = train.config, train.env
+    state = jit(jax.vmap(train.initial, (0, None, None)))(keys_of(seeds), config.hyper, env)
+
+    def step(states, step_key):
+        finished = states.terminated | states.truncated
+        actions = jax.random.uniform(step_key, (config.num_envs, env.action_size), minval=-1.0, maxval=1.0)
+        keys = jax.random.split(step_key, config.num_envs)
+        return restarted(env, finished, jax.vmap(env.step)(states, actions), keys), None
+
+    def environments(state, number):
+        keys = jax.random.split(jax.random.fold_in(state.key, number), config.rollout_steps)
+        return state.replace(env_states=jax.lax.scan(step, state.env_states, keys)[0])
+
+    def collecting(state, number):
+        return collect_epoch(train.setup(), state, number)[0]
+
+    def everything(state, number):
+        return train.epochs(state, number[None], config.hyper, env)[0]
+
+    def rate(part: Callable, state: Any, steps: int) -> float:
+        program = jit(part)
+        jax.block_until_ready(program(state, jnp.int32(0)))
+        started = time.perf_counter()
+        for number in range(1, epochs + 1):
+            state = program(state, jnp.int32(number))
+        jax.block_until_ready(state)
+        return epochs * steps / (time.perf_counter() - started)
+
+    of_epoch = config.num_envs * config.rollout_steps
+    rates = {
+        part.__name__: rate(jax.vmap(part, (0, None)), state, seeds * of_epoch)
+        for part in (environments, collecting, everything)
+    }
+    return {"task": task, "agent": agent, "seeds": seeds, "machine": describe_machine(), **rates}
+
+
 def report(side: str, task: str, agent: str, steps: float, seconds: float, success: float) -> None:
     """Say how far a side is."""
     print(
@@ -298,11 +352,22 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2_000_000)
     parser.add_argument("--evaluations", type=int, default=10)
     parser.add_argument("--budget", type=float, default=float("inf"))
+    parser.add_argument("--parts", action="store_true")
     parser.add_argument("--toy", action="store_true")
     words = parser.parse_args()
     use_compilation_cache()
     sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
     sizes = dataclasses.replace(sizes, rounds=words.rounds)
+    if words.parts:
+        measured = [
+            parts(task, agent, sizes, seeds)
+            for task in words.tasks
+            for agent in words.agents
+            for seeds in sorted({1, words.seeds})
+        ]
+        words.out.write_text(json.dumps(measured))
+        print(words.out.read_text())
+        return
     deadline = time.perf_counter() + words.budget
     done = {(*each.program(), each.seed): each for each in load([words.out])}
 
