@@ -33,7 +33,7 @@ def success_table(online: list[jaxgcrl.Outcome], offline: list[ogbench.Outcome])
     notes = {"JaxGCRL's": jaxgcrl.foot(online)} if cells else {}
     for task, outcomes in ogbench.groups(offline, held_out=True).items():
         own, notes[task] = ogbench.encoder_cells(outcomes)
-        cells |= {(task, agent): found for agent, found in own.items()}
+        cells |= {(task, agent): found for agent, found in own.items() if len(found) > 1}
     rows = [
         [f"{task}, `{agent}`", *(own.get(encoder, "") for encoder in ENCODERS)] for (task, agent), own in cells.items()
     ]

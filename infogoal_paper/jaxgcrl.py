@@ -1,11 +1,13 @@
 """Our agents beside JaxGCRL's own programs, and with goal encoders before them: the results of
 benchmarks/peers/jaxgcrl_peer.py.
 
-    python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.xz
-    python -m infogoal_paper.pages jaxgcrl                            # write the table of docs/reference/vectors.md
+    python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...] [--parts FILE ...]
+                                              # put results into docs/results/jaxgcrl.json.xz
+    python -m infogoal_paper.pages jaxgcrl    # write the tables of docs/reference/vectors.md
 
 Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
-themselves: their seconds for a round stand in the table. What is there already of a program and seed is replaced.
+themselves: their seconds for a round stand in the table. `--parts` names what the benchmark's `--parts` wrote. What is
+there already of a program and seed is replaced.
 """
 
 import argparse
@@ -14,6 +16,7 @@ import json
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,21 +69,55 @@ class Outcome:
         """What ran, without its seed."""
         return self.task, self.agent, self.side
 
+    def key(self) -> tuple:
+        """What there is one of among the results."""
+        return *self.program(), self.seed
+
     def steps_per_second(self) -> float:
-        """Environment steps of all seeds a second of training, updates included."""
+        """Environment steps of all seeds a second of training, updates included. The first of several rounds is left
+        out: it may have a prefill, which is not in its seconds."""
         steps, seconds = self.steps[-1], self.seconds[-1]
-        if len(self.steps) > 1:  # The first round may have a prefill, which is not in its seconds.
+        if len(self.steps) > 1:
             steps, seconds = steps - self.steps[0], seconds - self.seconds[0]
         return self.side_by_side * steps / seconds
 
-    def updates_per_second(self) -> float:
-        """Updates of all seeds a second of training, environment steps included."""
-        return self.side_by_side * self.updates / self.seconds[-1]
+    def updates_at(self) -> np.ndarray:
+        """Updates of a seed until each evaluation [evaluations]: as many for each step after the prefill."""
+        learnt = np.cumsum(learnt_in(self))
+        return self.updates * learnt / learnt[-1]
 
-    def seconds_to_success(self) -> float:
-        """Seconds a seed to the first evaluation with a mean success of `SUCCESS`; NaN if there is none."""
+    def to_success(self) -> str:
+        """Seconds a seed to the first evaluation with a mean success of `SUCCESS`, in words; at most so many where it
+        is the first of all."""
         enough = np.flatnonzero(np.mean(self.success, 0) >= SUCCESS)
-        return self.seconds[enough[0]] / self.side_by_side if enough.size else float("nan")
+        if not enough.size:
+            return "never"
+        return ("" if enough[0] else "at most ") + f"{self.seconds[enough[0]] / self.side_by_side:.1f}"
+
+
+@dataclasses.dataclass
+class Parts:
+    """Environment steps a second, of all seeds, of what an epoch of ours is made of."""
+
+    task: str
+    agent: str
+    seeds: int
+    """Side by side in one program."""
+    machine: str
+    environments: float
+    """Of the environments alone, under random actions."""
+    collecting: float
+    """Of collecting: the environments, the policy and the buffer."""
+    everything: float
+    """Of an epoch, updates included."""
+
+    def key(self) -> tuple:
+        """What there is one of among the results."""
+        return self.task, self.agent, self.seeds
+
+    def share_of_updates(self) -> float:
+        """The share of an epoch's time that updates take."""
+        return 1.0 - self.everything / self.collecting
 
 
 def joined(outcomes: list[Outcome]) -> Outcome:
@@ -101,11 +138,8 @@ def joined(outcomes: list[Outcome]) -> Outcome:
 
 
 def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
-    """The outcome with the seconds a step of the same program that ran alone, where it did: the median of its
-    rounds."""
+    """The outcome with the seconds a step of the same program that ran alone: the median of its rounds."""
     found = [each for each in alone if each.program() == outcome.program()]
-    if not found:
-        return outcome
     rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) / learnt_in(each) for each in found])
     seconds = float(np.median(rounds)) * np.cumsum(learnt_in(outcome))
     return dataclasses.replace(outcome, seconds=seconds.tolist(), machine=found[0].machine)
@@ -118,11 +152,13 @@ def learnt_in(outcome: Outcome) -> np.ndarray:
 
 
 def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tuple[str, str, dict[str, Outcome]]]:
-    """Task, agent and the outcome of each side, in order."""
-    ordered = sorted(outcomes, key=lambda each: (*each.program(), each.seed))
+    """Task, agent and the outcome of each side, in order; with the seconds of those that ran alone where all did."""
+    ordered, timed = sorted(outcomes, key=Outcome.key), {each.program() for each in alone}
     for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
-        own = {side: list(seeds) for side, seeds in groupby(both, key=lambda each: each.side)}
-        yield task, agent, {side: timed_alone(joined(seeds), alone) for side, seeds in own.items()}
+        sides = {side: joined(list(seeds)) for side, seeds in groupby(both, key=lambda each: each.side)}
+        if {each.program() for each in sides.values()} <= timed:
+            sides = {side: timed_alone(each, alone) for side, each in sides.items()}
+        yield task, agent, sides
 
 
 def is_learned(sides: dict[str, Outcome]) -> bool:
@@ -141,45 +177,47 @@ def unlearned(outcomes: Iterable[Outcome]) -> str:
 
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
-    """A row for each side of a task and agent that one of them learned; behind the speeds of ours stands how many times
-    theirs they are, where both were timed alone."""
+    """A row for each side of a task and agent that one of them learned; behind the speed of ours stands how many times
+    theirs it is, where both were timed alone."""
     lines, timed = [], {each.program() for each in alone}
     for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
         if not is_learned(sides):
             continue
-        reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
+        updates, theirs = min(each.updates for each in sides.values()), sides.get("theirs")
+        are_timed = {each.program() for each in sides.values()} <= timed
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
-            alone_both = {(task, agent, side), (task, agent, "theirs")} <= timed
-            success = [tight(mean_interval(found)) for found in (curves[:, -1], success_at(outcome, reached))]
-            speeds = [
-                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and alone_both and side != "theirs" else "")
-                for own, other in (
-                    (outcome.steps_per_second(), theirs and theirs.steps_per_second()),
-                    (outcome.updates_per_second(), theirs and theirs.updates_per_second()),
-                )
-            ]
-            seconds = outcome.seconds_to_success()
-            half = "never" if np.isnan(seconds) else f"{seconds:.1f}"
+            success = [tight(mean_interval(found)) for found in (curves[:, -1], success_after(outcome, updates))]
+            own, other = outcome.steps_per_second(), theirs and theirs.steps_per_second()
+            speed = f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and are_timed and side != "theirs" else "")
             seeds = max(len(curves), outcome.side_by_side)
-            lines.append([f"{task}, {agent}", f"{side}, {seeds}", f"{steps[-1] / 1e6:.2f}", *success, *speeds, half])
+            lines.append(
+                [
+                    f"{task}, {agent}",
+                    f"{side}, {seeds}",
+                    f"{steps[-1] / 1e6:.2f}",
+                    *success,
+                    speed,
+                    outcome.to_success(),
+                ]
+            )
     return lines
 
 
-def success_at(outcome: Outcome, steps: float) -> np.ndarray:
-    """Of each seed [seeds], at the evaluation next to so many steps."""
-    return np.array(outcome.success)[:, np.abs(np.array(outcome.steps) - steps).argmin()]
+def success_after(outcome: Outcome, updates: float) -> np.ndarray:
+    """Of each seed [seeds], at the evaluation next to so many updates."""
+    return np.array(outcome.success)[:, np.abs(outcome.updates_at() - updates).argmin()]
 
 
 def encoder_success(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
-    """Success with each goal encoder, after the steps that all of a task and agent have: {(task, agent): {encoder:
+    """Success with each goal encoder, after the updates that all of a task and agent have: {(task, agent): {encoder:
     [seeds]}}, of those that an encoder ran on."""
     found = {}
     for task, agent, sides in compared((each for each in outcomes if each.side != "theirs"), []):
-        reached = min(each.steps[-1] for each in sides.values())
+        updates = min(each.updates for each in sides.values())
         if len(sides) > 1:
             found[task, agent] = {
-                side.removeprefix("ours").removeprefix("+") or "none": success_at(each, reached)
+                side.removeprefix("ours").removeprefix("+") or "none": success_after(each, updates)
                 for side, each in sides.items()
             }
     return found
@@ -189,39 +227,63 @@ def foot(outcomes: Iterable[Outcome]) -> str:
     """How success with goal encoders was measured, where and when."""
     own = [each for each in outcomes if each.side != "theirs"]
     seeds = max(each.side_by_side for each in own)
-    return f"after equal steps, {seeds} seeds; {machines_in_words(each.machine for each in own)}."
+    return f"after equal updates, {seeds} seeds; {machines_in_words(each.machine for each in own)}."
 
 
-HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]
-HEAD += ["steps/s", "updates/s", f"GPU s a seed to {SUCCESS}"]
+HEAD = ["task", "program, seeds", "million steps", "success", "at equal updates"]
+HEAD += ["steps/s", f"GPU s a seed to {SUCCESS}"]
 
 
-def load(paths: Iterable[Path]) -> list[Outcome]:
-    """The outcomes that these files hold; none where there is no file."""
-    return [Outcome(**each) for path in paths if path.exists() for each in json.loads(path.read_text())]
+KINDS = {"beside": Outcome, "alone": Outcome, "parts": Parts}
+"""What is kept: results of programs beside each other, and alone on the device, and the parts of an epoch."""
 
 
-def read() -> dict[str, list[Outcome]]:
-    """What is kept: `beside` each other, and `alone`."""
-    kept = json.loads(trial_numbers.read_text(NUMBERS)) if NUMBERS.exists() else {"beside": [], "alone": []}
-    return {name: [Outcome(**each) for each in outcomes] for name, outcomes in kept.items()}
+def load(paths: Iterable[Path], kind: type = Outcome) -> list[Any]:
+    """The results of this kind that these files hold; none where there is no file."""
+    return [kind(**each) for path in paths if path.exists() for each in json.loads(path.read_text())]
 
 
-def take(beside: list[Path], alone: list[Path]) -> None:
-    """Put these results into the numbers."""
+def read() -> dict[str, list[Any]]:
+    """What is kept of each of `KINDS`."""
+    kept = json.loads(trial_numbers.read_text(NUMBERS)) if NUMBERS.exists() else {}
+    return {name: [kind(**each) for each in kept.get(name, [])] for name, kind in KINDS.items()}
+
+
+def take(files: dict[str, list[Path]]) -> None:
+    """Put the results of these files, by kind, into the numbers."""
     kept = read()
-    for name, files in (("beside", beside), ("alone", alone)):
-        own = {(*each.program(), each.seed): each for each in [*kept[name], *load(files)]}
+    for name, paths in files.items():
+        own = {each.key(): each for each in [*kept[name], *load(paths, KINDS[name])]}
         kept[name] = [own[key] for key in sorted(own)]
-    plain = {name: [dataclasses.asdict(each) for each in outcomes] for name, outcomes in kept.items()}
+    plain = {name: [dataclasses.asdict(each) for each in results] for name, results in kept.items()}
     trial_numbers.write_compressed(NUMBERS, json.dumps(plain))
 
 
 def tables() -> dict[str, str]:
-    """The table of the page; none without numbers."""
+    """The tables of the page; none without numbers."""
     kept = read()
-    lines = [markdown_lines(HEAD, rows(kept["beside"], kept["alone"])), unlearned(kept["beside"])]
-    return {"peers": "\n\n".join(filter(None, lines))} if kept["beside"] else {}
+    if not kept["beside"]:
+        return {}
+    peers = [markdown_lines(HEAD, rows(kept["beside"], kept["alone"])), unlearned(kept["beside"])]
+    return {
+        "peers": "\n\n".join(filter(None, peers)),
+        "parts": markdown_lines(HEAD_OF_PARTS, parts_rows(kept["parts"])),
+    }
+
+
+HEAD_OF_PARTS = ["task, agent, seeds", "environments", "collecting", "everything", "updates' share"]
+
+
+def parts_rows(parts: Iterable[Parts]) -> list[list[str]]:
+    """A row for each number of seeds."""
+    return [
+        [
+            f"{each.task}, {each.agent}, {each.seeds}",
+            *(f"{rate:,.0f}" for rate in (each.environments, each.collecting, each.everything)),
+            f"{each.share_of_updates():.2f}",
+        ]
+        for each in parts
+    ]
 
 
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
@@ -253,8 +315,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE")
     parser.add_argument("--alone", nargs="*", type=Path, default=[], metavar="FILE")
-    arguments = parser.parse_args()
-    take(arguments.files, arguments.alone)
+    parser.add_argument("--parts", nargs="*", type=Path, default=[], metavar="FILE")
+    words = parser.parse_args()
+    take({"beside": words.files, "alone": words.alone, "parts": words.parts})
     print("\n\n".join(tables().values()))
 
 

@@ -16,8 +16,8 @@ steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defa
 and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. The side
 ours+infogoal puts InfoGoal's code in place of the goal, the others those of other goal encoders, as `ogbench_peer.py`
 sets them. Success is the fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie
-between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs. Ours are evaluated on the
-same 128 goals every time, an episode each; theirs on as many drawn anew.
+between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs. Both are evaluated in 128
+episodes, whose starts and goals are drawn anew every time.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
 counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
@@ -49,10 +49,11 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import chunk_of
+from infogoal_jax.train.evaluation import evaluate
 from infogoal_jax.train.experience import collect_epoch
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.rollout import restarted
-from infogoal_paper.jaxgcrl import Outcome, load
+from infogoal_paper.jaxgcrl import Outcome, Parts, load
 
 OURS = presets.JAXGCRL.training
 """Our sizes, which are JaxGCRL's own where it has them."""
@@ -106,9 +107,7 @@ TOY = Sizes(
 
 def our_train(task: str, agent: str, side: str, sizes: Sizes) -> tuple[Train, int]:
     """The training function of one of our agents, and its epochs between evaluations."""
-    task_env = envs.from_jaxgcrl(
-        task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=sizes.num_eval
-    )
+    task_env = envs.from_jaxgcrl(task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl")
     name = f"jaxgcrl_{task}"
     presets.register(name, task_env, presets.JAXGCRL)
     collected = sizes.num_envs * sizes.our_steps
@@ -124,7 +123,6 @@ def our_train(task: str, agent: str, side: str, sizes: Sizes) -> tuple[Train, in
         rollout_steps=sizes.our_steps,
         updates_per_epoch=collected // STEPS_PER_UPDATE,
         batch_size=sizes.batch_size,
-        evaluation_starts=1,
         buffer_steps=max(sizes.replay * sizes.num_envs, collected),
     )
     floats = floats | ({"epsilon": 0.1} if agent == "td3" else {})
@@ -138,6 +136,21 @@ def keys_of(seeds: int) -> jax.Array:
     return jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
 
 
+def evaluated_anew(train: Train, num_eval: int) -> Callable:
+    """An evaluation as JaxGCRL's: (state, hyper, env) -> of so many episodes, each with a start and a goal that the
+    environment draws together, whether the goal was reached at any time, bool [num_eval]. Another evaluation draws
+    others."""
+
+    def evaluation(state, hyper, env):
+        key = jax.random.fold_in(state.key, state.env_steps)
+        starts = jax.vmap(env.reset)(jax.random.split(key, num_eval))
+        goals, starts = starts.desired_goal, jax.tree.map(lambda leaf: leaf[:, None], starts)
+        scores = evaluate(train.policy(state.params, hyper, env), env, goals, starts)
+        return (scores.first <= env.episode_length)[:, 0]
+
+    return evaluation
+
+
 def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: float, keep: Keep) -> None:
     """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
     first evaluation after the deadline, in seconds of `time.perf_counter`."""
@@ -148,12 +161,13 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
     shared = (config.hyper, train.env)
     initial = jit(jax.vmap(train.initial, (0, None, None)))
     numbers = jnp.arange(config.num_epochs, dtype=jnp.int32).reshape(-1, per_evaluation)
-    chunk = chunk_of(jax.vmap(train.epochs, (0, None, None, None)), jax.vmap(train.evaluation, (0, None, None)))
+    evaluation = jax.vmap(evaluated_anew(train, sizes.num_eval), (0, None, None))
+    chunk = chunk_of(jax.vmap(train.epochs, (0, None, None, None)), evaluation)
     traced = chunk.trace(jax.eval_shape(initial, keys, *shared), numbers[0], *shared)
     with ThreadPoolExecutor() as pool:
         programs = [pool.submit(lambda program: program.lower().compile(), program) for program in traced]
         state = jax.block_until_ready(initial(keys, *shared))
-    advance, evaluate = (program.result() for program in programs)
+    advance, measure = (program.result() for program in programs)
     compiling = time.perf_counter() - started
 
     seconds, steps, success = [0.0], [], []
@@ -162,9 +176,8 @@ def ours(task: str, agent: str, side: str, sizes: Sizes, seeds: int, deadline: f
         started = time.perf_counter()
         state, _ = jax.block_until_ready(advance(state, epochs, *shared))
         seconds.append(seconds[-1] + time.perf_counter() - started)
-        metrics = jax.device_get(evaluate(state, *shared))
-        steps.append(float(np.mean(metrics["env_steps"])))
-        success.append((metrics["first_reached"] <= sizes.episode_length).mean((1, 2)).tolist())
+        steps.append(float(state.env_steps.mean()))
+        success.append(np.asarray(measure(state, *shared)).mean(1).tolist())
         report(side, task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
         updates = len(steps) * per_evaluation * config.updates_per_epoch
         curves = np.transpose(success).tolist()
@@ -290,9 +303,8 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float, keep
                 raise
 
 
-def parts(task: str, agent: str, sizes: Sizes, seeds: int, epochs: int = 3) -> dict[str, Any]:
-    """Environment steps a second, of all seeds, of what an epoch of ours is made of: the environments alone, under
-    random actions; collecting, which is them, the policy and the buffer; and everything, with the updates."""
+def parts(task: str, agent: str, sizes: Sizes, seeds: int, epochs: int = 3) -> Parts:
+    """Measure what an epoch of ours is made of, over so many epochs of each part."""
     train, _ = our_train(task, agent, "ours", sizes)
     config, env = train.config, train.env
     state = jit(jax.vmap(train.initial, (0, None, None)))(keys_of(seeds), config.hyper, env)
@@ -323,11 +335,13 @@ def parts(task: str, agent: str, sizes: Sizes, seeds: int, epochs: int = 3) -> d
         return epochs * steps / (time.perf_counter() - started)
 
     of_epoch = config.num_envs * config.rollout_steps
-    rates = {
-        part.__name__: rate(jax.vmap(part, (0, None)), state, seeds * of_epoch)
-        for part in (environments, collecting, everything)
-    }
-    return {"task": task, "agent": agent, "seeds": seeds, "machine": describe_machine(), **rates}
+    return Parts(
+        task,
+        agent,
+        seeds,
+        describe_machine(),
+        *(rate(jax.vmap(part, (0, None)), state, seeds * of_epoch) for part in (environments, collecting, everything)),
+    )
 
 
 def report(side: str, task: str, agent: str, steps: float, seconds: float, success: float) -> None:
@@ -360,7 +374,7 @@ def main() -> None:
     sizes = dataclasses.replace(sizes, rounds=words.rounds)
     if words.parts:
         measured = [
-            parts(task, agent, sizes, seeds)
+            dataclasses.asdict(parts(task, agent, sizes, seeds))
             for task in words.tasks
             for agent in words.agents
             for seeds in sorted({1, words.seeds})
@@ -369,11 +383,11 @@ def main() -> None:
         print(words.out.read_text())
         return
     deadline = time.perf_counter() + words.budget
-    done = {(*each.program(), each.seed): each for each in load([words.out])}
+    done = {each.key(): each for each in load([words.out])}
 
     def keep(outcome: Outcome) -> None:
         """Write what is done, with this."""
-        done[(*outcome.program(), outcome.seed)] = outcome
+        done[outcome.key()] = outcome
         words.out.write_text(json.dumps([dataclasses.asdict(each) for each in done.values()]))
 
     def runs() -> Iterator[tuple[str, str, str, int]]:

@@ -75,11 +75,12 @@ JAXGCRL = Preset(
     },
     **AS_THEY_ARE,
 )
-"""JaxGCRL's own sizes and floats, an update for every 16 steps. `AS_THEY_ARE`, since encoders in front of contrastive
-RL, which its critic alone trains, keep it from learning ant: chosen by success on training goals while collecting, 0.16
-and 0.05 (three seeds, 9 million steps) [M]. No layer norm for `crl`, as there: on states as they are it hides how far
-from the origin they lie, and places of the maze on one line through it look alike. TD3 and SAC keep theirs, with which
-SAC learns that maze faster (0.81 and 0.53 of its goals after a million steps, three seeds) [M]."""
+"""JaxGCRL's batches, layers, replay and discount, and its update for every 16 steps; losses, exploration and hindsight
+are ours. `AS_THEY_ARE`, since encoders in front of contrastive RL, which its critic alone trains, keep it from learning
+ant: chosen by success on training goals while collecting, 0.16 and 0.05 (three seeds, 9 million steps) [M]. No layer
+norm for `crl`, as there: on states as they are it hides how far from the origin they lie, and places of the maze on one
+line through it look alike. TD3 and SAC keep theirs, with which SAC learns that maze faster (0.81 and 0.53 of its goals
+after a million steps, three seeds) [M]."""
 
 
 OWN = {"jaxgcrl": JAXGCRL, "ogbench": dataclasses.replace(OGBENCH, description="Recordings: --env ogbench:DATASET.")}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from infogoal_paper import jaxgcrl
-from infogoal_paper.jaxgcrl import Outcome
+from infogoal_paper.jaxgcrl import Outcome, Parts
 
 
 def outcome(side, seed=0, rounds=3, seconds=2.0, seeds=1, success=0.1):
@@ -24,13 +24,17 @@ def numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(jaxgcrl, "NUMBERS", tmp_path / "jaxgcrl.json.xz")
 
 
-def test_seeds_are_compared_at_the_steps_that_both_sides_made():
+def test_seeds_are_compared_at_the_updates_that_both_sides_made():
+    """Not at the steps, of which JaxGCRL's first ones, its prefill, teach nothing."""
     ours, theirs = outcome("ours", rounds=6, seeds=2), [outcome("theirs", seed, rounds=2) for seed in (0, 1)]
+    for each in theirs:
+        each.steps = [steps + 2_000 for steps in each.steps]
     mine, other = jaxgcrl.rows([*theirs, ours], [])
     assert mine[1:5] == ["ours, 2", "0.01", "0.60±0.00", "0.20±0.00"]
     assert other[1:5] == ["theirs, 2", "0.00", "0.20±0.00", "0.20±0.00"]
+    np.testing.assert_allclose(theirs[0].updates_at(), [60, 120])
     # Ours has 0.5 after five rounds of 2 s, which two seeds share.
-    assert mine[5:] == ["1,000", "60", "5.0"] and other[5:] == ["500", "30", "never"]
+    assert mine[5:] == ["1,000", "5.0"] and other[5:] == ["500", "never"]
 
 
 def test_seeds_that_were_evaluated_at_other_steps_are_compared_in_between():
@@ -54,18 +58,24 @@ def test_seconds_are_those_of_programs_that_ran_alone():
     timed = jaxgcrl.timed_alone(beside, [alone])
     np.testing.assert_allclose(timed.seconds, [1.5, 3.0, 4.5])
     assert timed.success == beside.success
-    assert jaxgcrl.timed_alone(beside, [outcome("ours")]) == beside
+
+
+def test_seconds_are_counted_to_the_first_evaluation_with_enough_success():
+    """At the first of all there may have been enough earlier."""
+    assert outcome("ours", rounds=6).to_success() == "10.0" and outcome("ours").to_success() == "never"
+    assert outcome("ours", success=0.5).to_success() == "at most 2.0"
 
 
 def test_times_theirs_are_said_where_both_were_timed_alone():
-    """Programs beside others say how full the GPU was."""
+    """Programs beside others say how full the GPU was, and so does one side beside others and the other alone."""
     sides = [outcome("ours", seeds=2), outcome("theirs")]
-    for alone, said in (([], ""), (sides, " (2.0x)"), (sides[:1], ""), (sides[1:], "")):
+    fast = [dataclasses.replace(each, seconds=[seconds / 2 for seconds in each.seconds]) for each in sides]
+    for alone, times, said in (([], 1, ""), (fast, 2, " (2.0x)"), (fast[:1], 1, ""), (fast[1:], 1, "")):
         mine, other = jaxgcrl.rows(sides, alone)
-        assert mine[5:7] == [f"1,000{said}", f"60{said}"] and other[5:7] == ["500", "30"]
+        assert mine[5] == f"{times * 1000:,}{said}" and other[5] == f"{times * 500:,}"
 
 
-def test_goal_encoders_are_compared_at_the_steps_that_all_of_them_made():
+def test_goal_encoders_are_compared_at_the_updates_that_all_of_them_made():
     own = [outcome("ours", seeds=2), outcome("ours+infogoal", rounds=2, seeds=2), outcome("theirs", rounds=1)]
     alone = dataclasses.replace(outcome("ours"), task="reacher")
     other = dataclasses.replace(outcome("ours+infogoal, beta 0"), agent="sac")
@@ -102,11 +112,19 @@ def test_what_is_taken_again_replaces_what_was_there(numbers, tmp_path):
     assert jaxgcrl.tables() == {}
     for number, success in enumerate((0.1, 0.2)):
         (tmp_path / f"{number}.json").write_text(json.dumps([dataclasses.asdict(outcome("ours", success=success))]))
-    jaxgcrl.take([tmp_path / "0.json"], [])
-    jaxgcrl.take([tmp_path / "1.json"], [tmp_path / "0.json"])
+    (tmp_path / "parts.json").write_text(
+        json.dumps([dataclasses.asdict(Parts("ant", "crl", 5, "a GPU", 9e3, 8e3, 2e3))])
+    )
+    jaxgcrl.take({"beside": [tmp_path / "0.json"]})
+    for _ in range(2):
+        jaxgcrl.take(
+            {"beside": [tmp_path / "1.json"], "alone": [tmp_path / "0.json"], "parts": [tmp_path / "parts.json"]}
+        )
     kept = jaxgcrl.read()
     assert [each.success[0][0] for each in kept["beside"]] == [0.2] and len(kept["alone"]) == 1
     assert "0.60" in jaxgcrl.tables()["peers"]
+    # Of an epoch that takes four times as long as collecting does, three quarters are updates.
+    assert jaxgcrl.tables()["parts"].splitlines()[2:] == ["| ant, crl, 5 | 9,000 | 8,000 | 2,000 | 0.75 |"]
 
 
 def test_what_both_sides_ran_and_one_learned_is_drawn(tmp_path, monkeypatch):
