@@ -20,8 +20,9 @@ LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 
 class Within(NamedTuple):
-    """What the numbers of a field may be, each of them where it holds several: `Annotated[int, Within("[1, inf)",
-    "give a whole number greater than 0")]`. interval: such as "(0, 1]"; remedy: what to give instead."""
+    """What the numbers of a field may be, each of them where it holds several, which are one at least: `Annotated[int,
+    Within("[1, inf)", "give a whole number greater than 0")]`. interval: such as "(0, 1]"; remedy: what to give
+    instead."""
 
     interval: str
     remedy: str
@@ -37,8 +38,10 @@ Positive = Annotated[float, Within("(0, inf)", "give a number greater than 0")]
 
 
 def lies_in(value: float, interval: str) -> bool:
-    """Whether the value lies in an interval such as "(0, 1]"."""
+    """Whether the value lies in an interval such as "(0, 1]"; a float as the float32 that programs are given."""
     low, high = (float(end) for end in interval[1:-1].split(","))
+    if isinstance(value, float):
+        value, low, high = np.float32(value), np.float32(low), np.float32(high)
     above = value >= low if interval[0] == "[" else value > low
     below = value <= high if interval[-1] == "]" else value < high
     return above and below
@@ -121,12 +124,15 @@ def checked_value(value: Any, hint: Any, name: str) -> Any:
         value = converted(value, hint)
     except WrongTypeError as error:
         raise UserError(f"{name} = {reprlib.repr(value)}: {error}") from error
+    withins = [each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Within)]
+    if withins and value == ():
+        raise UserError(f"{name} = (): {withins[0].remedy}")
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, int) and abs(number) > (2**64 if name.endswith("seed") else LARGEST_WHOLE):
             raise UserError(f"{name} = {reprlib.repr(value)}: give a whole number of at most {LARGEST_WHOLE}")
         if isinstance(number, float) and not abs(number) <= LARGEST_FLOAT:
             raise UserError(f"{name} = {reprlib.repr(value)}: give a finite number that float32 holds")
-        for within in getattr(hint, "__metadata__", ()):
-            if isinstance(within, Within) and not lies_in(number, within.interval):
+        for within in withins:
+            if not lies_in(number, within.interval):
                 raise UserError(f"{name} = {reprlib.repr(value)}: {within.remedy}")
     return value

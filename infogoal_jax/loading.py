@@ -24,6 +24,7 @@ from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
 from infogoal_jax.envs.environment import Traits, has_image_goals
 from infogoal_jax.errors import counted, require
+from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.runs import low_level as low_levels
@@ -133,6 +134,10 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         yield from refusals_of_achieved_goals(agent, config)
     if not traits.recorded:
         yield from refusals_of_buffer(config)
+        collected = config.num_envs * config.rollout_steps
+        if config.num_epochs * collected > LARGEST_WHOLE:
+            reason = f"num_envs x rollout_steps = {collected:,} each are more steps of a seed than programs count"
+            yield Refusal("num_epochs", config.num_epochs, reason, f"give {LARGEST_WHOLE:,} steps at most")
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, config.agent, traits)
@@ -157,7 +162,7 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         yield Refusal(
             "stop_encoder_gradient",
             True,
-            f"nothing else than the agent's loss trains the goal encoder of learner "
+            f"nothing else than the agent's loss teaches what goals are to the goal encoder of learner "
             f"{learners.registry.name_of(config.learner)!r}",
             "give False, or another learner",
         )

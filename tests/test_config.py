@@ -18,7 +18,7 @@ from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import require
-from infogoal_jax.field_types import Positive, Share, Weight, hints_of
+from infogoal_jax.field_types import Positive, Share, Weight, hints_of, lies_in
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
@@ -43,7 +43,7 @@ def with_hyper(**values):
 
 def beyond(field: dataclasses.Field, hint) -> list:
     """Values that a field declares it cannot have: another word than its own, numbers at or past the ends of its
-    interval, and numbers that are not finite."""
+    interval, numbers that are not finite, and none of several."""
     if typing.get_origin(hint) is Literal:
         return ["another"]
     found = [math.inf, math.nan] if hint in (float, Share, Weight, Positive) else []
@@ -55,7 +55,11 @@ def beyond(field: dataclasses.Field, hint) -> list:
         kind = int if isinstance(field.default, int) or hint.__origin__ == tuple[int, ...] else float
         past = [end + step * (mark in "[]") for end, step, mark in zip(ends, (-1, 1), inside, strict=True)]
         found += [kind(value) for value in past if math.isfinite(value)]
-    return [(value,) if isinstance(field.default, tuple) else value for value in found]
+    return [*((value,) for value in found), ()] if found and isinstance(field.default, tuple) else found
+
+
+def test_an_interval_that_ends_at_no_float32_has_its_end():
+    assert lies_in(0.1, "[0, 0.1]") and lies_in(0.3, "[0.3, 1]") and not lies_in(0.3, "(0.3, 1]")
 
 
 @pytest.mark.parametrize("kind", presets.loading.REGISTRIES)
@@ -157,6 +161,21 @@ def without_training_goals():
         (lambda: with_hyper(discount=np.array([0.5, 2.0])), "hyper.discount = 2.0: give a number in"),
         (lambda: with_hyper(learning_rate=1e39), r"hyper.learning_rate = 1e\+39: give a finite number"),
         (lambda: with_hyper(discount="0.9"), "hyper.discount = '0.9': give a number"),
+        # Programs are given float32, which has no number between this one and 1, and none between that one and 0.
+        (lambda: with_hyper(discount=0.99999999), r"hyper.discount = 0.99999999: give a number in \[0, 1\)"),
+        (lambda: with_hyper(learning_rate=1e-60), r"hyper.learning_rate = 1e-60: give a number in \(0, inf\)"),
+        (
+            lambda: dataclasses.replace(CONFIG, training_corruption=0.99999999),
+            "training_corruption = 0.99999999: give a weight from 0 to below 1",
+        ),
+        (
+            lambda: make_train(presets.load("object_search", num_epochs=700_000)),
+            "num_epochs = 700000: num_envs x rollout_steps = 3,200 each are more steps .*: give 2,147,483,647 steps",
+        ),
+        (
+            lambda: make_train(presets.load("object_search", "infobot", stop_encoder_gradient=True)),
+            "stop_encoder_gradient = True: nothing else than the agent's loss teaches .*'infobot'",
+        ),
         (lambda: presets.load(5), "task = 5: give the name of a task"),
         (lambda: presets.load("object_search", 5), "method = 5: give the name of a method"),
         (lambda: presets.load("object_search", num_env=5), "num_env = 5: no such field.*Did you mean 'num_envs'"),

@@ -402,6 +402,7 @@ def pretrain(
     Returns:
         As `train`. When it finished, the folder has the policy of the seed that reached most target states.
     """
+    require(resume != AUTO, "resume", resume, "name the folder of the run")
     task = config.task.removesuffix(TARGETS)
     out, command = out or resume or str(new_folder(task, "low-level")), ("pretrain", task)
     status = train(parts, config, resume, seeds=seeds, first_seed=first_seed, out=out, command=command)

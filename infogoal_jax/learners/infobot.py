@@ -124,6 +124,7 @@ def make(config: InfoBotConfig) -> Learner:
         encode,
         loss,
         sample_spec=SampleSpec(first_seen=config.reward == "first_seen"),
+        only_compresses=True,
         intrinsic_reward=intrinsic_reward,
         observe=observe,
         condition=condition if config.state_conditioned else None,

@@ -189,6 +189,8 @@ class Learner(NamedTuple):
     state too."""
     augment: Callable[[jax.Array, jax.Array], jax.Array] | None = None
     """(key, goal_inputs [B, ...]) -> goal_inputs: augmentation of goal inputs in updates."""
+    only_compresses: bool = False
+    """Whether `loss` only makes the code tell less: the agent's loss alone then teaches it what goals are."""
     mean_at_test: bool = False
     """Use the mean of a code in evaluation instead of a sample."""
     by_index: bool = False
@@ -206,8 +208,8 @@ def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Arr
 
 
 def has_own_loss(learner: Learner) -> bool:
-    """Whether the goal encoder is trained by anything but the agent's loss."""
-    return learner.loss is not no_loss
+    """Whether anything but the agent's loss teaches the goal encoder what goals are."""
+    return learner.loss is not no_loss and not learner.only_compresses
 
 
 def has_reward(learner: Learner) -> bool:

@@ -207,8 +207,6 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
 
 CHECKPOINT_FRACTION = 0.1
 """Of the time that passes, what goes into checkpoints at most: those of several seeds' replay buffers are gigabytes."""
-BYTES_A_SECOND = 2e8
-"""How fast the first one is expected to be written [M]."""
 
 
 class RunFiles(Callback):
@@ -239,10 +237,9 @@ class RunFiles(Callback):
         return self.left() >= 1.2 * sweep.last_seconds
 
     def compiled(self, sweep: Sweep) -> None:
-        """Note how many steps earlier sessions took, and what a checkpoint is likely to take."""
+        """Note how many steps earlier sessions took."""
         self.phase("training", self.epoch)
         self.saved_at = time.monotonic()
-        self.save_seconds = sum(leaf.nbytes for leaf in jax.tree.leaves(sweep.states)) / BYTES_A_SECOND
         self.steps_before = int(np.sum(distributed.gathered(jax.device_get(sweep.states.state.env_steps))))
 
     def evaluated(self, sweep: Sweep) -> None:
@@ -277,8 +274,8 @@ class RunFiles(Callback):
             self.save(sweep)
 
     def is_due(self) -> bool:
-        """Whether this process writes, and writing takes a second at most or little of the time since it was last
-        done."""
+        """Whether this process writes, and writing takes a second at most or little of the time since it was last done;
+        the first chunk tells how long it takes."""
         passed = time.monotonic() - self.saved_at
         return distributed.is_writer() and self.save_seconds < max(1.0, CHECKPOINT_FRACTION * passed)
 

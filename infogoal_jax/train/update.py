@@ -164,7 +164,7 @@ def returns(
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     if drawn.bonus is not None:
         step_reward += hyper.bonus_weight * drawn.bonus
-    taken = batch.mask.sum()
+    taken = jnp.maximum(batch.mask.sum(), 1.0)  # None where every step diverged.
     metrics = {
         "external_reward": (external * batch.mask).sum() / taken,
         "intrinsic_reward": (intrinsic * batch.mask).sum() / taken,

@@ -142,6 +142,8 @@ MISTAKES = [
     ("reproduce table1 --sets 1 b", ["sets = '1 b': give a whole number"]),
     ("train push", ["task = 'push'", "Did you mean 'fetch_push'?"]),
     ("train object_search 3", ["'3': no flag takes it; leave it out"]),
+    ("train object_search --agent.hidden --seeds 1", ["agent.hidden = (): give widths greater than 0"]),
+    ("pretrain fetch_push --resume auto", ["resume = 'auto': name the folder of the run"]),
     ("pretrain fetch_push --seeds x", ["seeds = 'x'", "infogoal pretrain fetch_push --help"]),
     ("evaluate run --starts", ["starts: no value follows", "infogoal evaluate --help"]),
     ("evaluate run --corruption much", ["corruption = 'much': give a number"]),
