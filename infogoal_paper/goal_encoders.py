@@ -54,7 +54,7 @@ def all_success(online: list[jaxgcrl.Outcome], offline: list[ogbench.Outcome]) -
 
 def clear_table(success: Success) -> str:
     """InfoGoal minus each other encoder, paired by seed, where it differs clearly from none: where the 95 % interval of
-    that difference leaves out 0. Below it, of how many comparisons these are."""
+    that difference leaves out 0. Below it, of how many comparisons these are, and how many of those come by chance."""
     others = [encoder for encoder in ENCODERS if encoder != "infogoal"]
     rows, compared = [], 0
     for (task, agent), own in success.items():
@@ -70,7 +70,8 @@ def clear_table(success: Success) -> str:
                 cells = (tight(differences[other]) if other in differences else "" for other in others)
                 rows.append([", ".join(filter(None, (task, f"`{agent}`", goals))), *cells])
     head = ["task, agent, goals", *(f"- {ENCODERS[other]}" for other in others)]
-    return f"{markdown_lines(head, rows)}\n\n{len(rows)} of {compared} comparisons with none."
+    counts = f"{len(rows)} of {compared} comparisons with none; {0.05 * compared:.1f} come by chance."
+    return f"{markdown_lines(head, rows)}\n\n{counts}"
 
 
 def tables() -> dict[str, str]:

@@ -146,8 +146,13 @@ class Exploration(NamedTuple):
     this is above 0, and acts by its mode at 0."""
 
 
+def keep(state: Any, rows: Trajectories) -> Any:
+    """The state, which new rows do not change."""
+    return state
+
+
 class Agent(NamedTuple):
-    """A reinforcement-learning agent."""
+    """A reinforcement-learning agent. Only `init`, `act`, `value` and `loss` must be given."""
 
     init: Callable[[jax.Array, jax.Array, jax.Array], tuple[Any, Any]]
     """(key, features [F], code [d]) -> (params, state). The gradient trains the parameters; the state is everything
@@ -159,12 +164,12 @@ class Agent(NamedTuple):
     """(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B], value of the greedy action."""
     loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]
     """(params, target_params, batch: AgentBatch, state, hyper, key) -> (loss, metrics)."""
-    observe: Callable[[Any, Trajectories], Any]
-    """(state, rows: Trajectories) -> state. Called with each epoch's new rows."""
-    num_steps: int
+    num_steps: int = 1
     """Largest number of environment steps of a sampled transition."""
     all_goals: OfAllGoals | None = None
     """Which goals it learns each transition from at once, `AgentBatch.all_goals`; None: from one."""
+    observe: Callable[[Any, Trajectories], Any] = keep
+    """(state, rows: Trajectories) -> state. Called with each epoch's new rows."""
 
 
 class OfSteps:

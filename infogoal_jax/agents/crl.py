@@ -143,4 +143,4 @@ def make(config: CRLConfig, env) -> Agent:
         metrics = {"critic_loss": critic_loss} | logit_metrics(logits) | learned.metrics
         return critic_loss + learned.loss, metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)
+    return Agent(init, act, value, loss, config.num_steps)

@@ -116,4 +116,4 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
         extra, own_metrics = regulariser(every, batch, hyper)
         return error + extra, metrics | own_metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps, config.goals_at_once())
+    return Agent(init, act, value, loss, config.num_steps, config.goals_at_once())

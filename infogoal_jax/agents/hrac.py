@@ -183,4 +183,4 @@ def make(config: HRACConfig, env) -> Agent:
         return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
     num_steps = config.interval * config.num_decisions
-    return Agent(init, act, value, loss, observe, num_steps, config.goals_at_once())
+    return Agent(init, act, value, loss, num_steps, config.goals_at_once(), observe)

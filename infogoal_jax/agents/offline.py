@@ -59,7 +59,7 @@ def traits(config: OfflineConfig) -> AgentTraits:
 def agent(init: Callable, act: Callable, value: Callable, loss: Callable) -> Agent:
     """The agent of these functions (`Agent`), which learns from single steps and keeps nothing besides its
     parameters."""
-    return Agent(init, act, value, loss, observe=lambda state, rows: state, num_steps=1)
+    return Agent(init, act, value, loss)
 
 
 def entry(

@@ -175,4 +175,4 @@ def make(config: SACConfig, env) -> Agent:
         metrics = td3.error_metrics(values, target) | learned.metrics
         return td3.critic_loss(values, target, config.huber) + learned.loss, metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)
+    return Agent(init, act, value, loss, config.num_steps)

@@ -357,4 +357,4 @@ def make(config: TD3Config, env) -> Agent:
         metrics = learned.metrics | {"action_size": jnp.abs(learned.actions).mean()}
         return learned.critic + learned.actor + hyper.action_cost * cost, metrics
 
-    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps, config.goals_at_once())
+    return Agent(init, act, value, loss, config.num_steps, config.goals_at_once())
