@@ -171,7 +171,8 @@ def from_brax(
     radius: distance below which a goal is reached. hidden: further places that tell of the goal, such as the way to it.
     episode_length: steps of an episode. ends_at_goal: whether reaching the goal ends it. Where the environment sets
         `done` and the goal is not reached, the episode has failed: nothing is worth anything after it.
-    low, high: corners [D] between which training goals are drawn uniformly; None: the environment's own goals.
+    low, high: corners [D] between which training goals are drawn uniformly; None: the environment's own goals. An
+        episode of training then has the start and the goal of one reset, one of an evaluation those of two.
     held_out: (goal [D]) -> whether no training goal lies there, see `GoalBox.of`; own goals then come from those that
         were drawn once. num_evaluated: goals of each use that an evaluation asks for.
     starts: starts that are drawn to find one at which the goal is not reached.
