@@ -9,6 +9,7 @@ Shapes: B transitions, F features of a state, d numbers of a goal code, A number
 """
 
 import dataclasses
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import flax.struct
@@ -23,6 +24,8 @@ from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
+SMALLEST_SQUARE = 1e-6
+"""Added to a squared distance, so that its root has a gradient at 0."""
 OF_RELABELLING = {"current_share": 0.0, "future_share": 1.0, "strategy": "soon", "skip_reached": False}
 """Every transition carries a goal that was achieved."""
 
@@ -69,10 +72,44 @@ class CRLHyperparameters:
 
 
 def energy(kind: Energy, first: jax.Array, second: jax.Array) -> jax.Array:
-    """How well representations [..., D] fit, float32 [...]. The length has a gradient at 0 too."""
+    """How well representations [..., D] fit, float32 [...]."""
     if kind == "dot":
         return (first * second).sum(-1)
-    return -jnp.sqrt(jnp.square(first - second).sum(-1) + 1e-6)
+    return -jnp.sqrt(jnp.square(first - second).sum(-1) + SMALLEST_SQUARE)
+
+
+def energies(kind: Energy, first: jax.Array, second: jax.Array) -> jax.Array:
+    """How well each of the first representations [B, D] fits each of the second [G, D], float32 [B, G]."""
+    return first @ second.T if kind == "dot" else -distances(first, second)
+
+
+@jax.custom_vjp
+def distances(first: jax.Array, second: jax.Array) -> jax.Array:
+    """The distance of each of the first vectors [B, D] from each of the second [G, D], float32 [B, G].
+
+    Its gradient is two products of matrices, and holds no differences [B, G, D]: sum_j w_ij (a_i - b_j) is
+    a_i sum_j w_ij - (W b)_i. All are taken from the centre of the second, so that close vectors lose no digits.
+    """
+    return -energy("norm", first[:, None], second[None])
+
+
+def distances_and_what_their_gradient_needs(first, second):
+    length = distances(first, second)
+    return length, (first, second, length)
+
+
+def gradient_of_distances(kept, cotangent):
+    first, second, length = kept
+    weight, centre = cotangent / length, second.mean(0)
+    first, second = first - centre, second - centre
+    product = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+    return (
+        weight.sum(1)[:, None] * first - product(weight, second),
+        weight.sum(0)[:, None] * second - product(weight.T, first),
+    )
+
+
+distances.defvjp(distances_and_what_their_gradient_needs, gradient_of_distances)
 
 
 def contrastive_loss(logits: jax.Array, logsumexp_weight: jax.Array) -> jax.Array:
@@ -134,7 +171,7 @@ def make(config: CRLConfig, env) -> Agent:
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """The contrastive loss, and those of the actor and the temperature."""
         first, second = of_actions(params, batch.features, batch.action), psi.apply(params["psi"], batch.code)
-        logits = energy(config.energy, first[:, None], second[None])
+        logits = energies(config.energy, first, second)
         critic_loss = contrastive_loss(logits, hyper.logsumexp_weight)
         frozen, features, code = jax.lax.stop_gradient((params, batch.features, batch.code))
         learned = sac.actor_losses(

@@ -80,6 +80,25 @@ def test_penalty_alone_fixes_the_level_of_energies():
 
 def test_equal_representations_have_a_finite_gradient():
     assert np.isfinite(jax.grad(lambda one: crl.energy("norm", one, one))(jnp.ones(3))).all()
+    same = jnp.ones((2, 3))
+    assert np.isfinite(jax.grad(lambda one: crl.distances(one, one).sum())(same)).all()
+
+
+@pytest.mark.parametrize("kind", ["norm", "dot"])
+def test_energies_of_all_pairs_are_those_of_each_and_so_are_their_gradients(kind):
+    """Far from the origin, and for pairs that are close, too; under `jax.vmap` over seeds, as they are trained."""
+    random = np.random.default_rng(0)
+    first = random.normal(size=(3, 5, 4)).astype(np.float32) + 50.0
+    second = first[:, ::-1] + 0.01 * random.normal(size=(3, 5, 4)).astype(np.float32)
+    weight = random.normal(size=(5, 5)).astype(np.float32)
+
+    def of(function):
+        weighted = jax.vmap(jax.value_and_grad(lambda a, b: (weight * function(a, b)).sum(), (0, 1)))
+        return jax.tree.leaves(jax.jit(weighted)(first, second))
+
+    each = of(lambda a, b: crl.energy(kind, a[:, None], b[None]))
+    for found, wanted in zip(of(functools.partial(crl.energies, kind)), each, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
 
 
 def test_the_critic_of_jaxgcrls_environments_tells_a_place_from_one_behind_it():
