@@ -17,7 +17,8 @@ and SAC. Our seeds run side by side in one program; theirs one after the other, 
 ours+infogoal puts InfoGoal's code in place of the goal, the others those of other goal encoders, as `ogbench_peer.py`
 sets them. Success is the fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie
 between 0 and 1, an episode ends there; it goes on for contrastive RL, as for all of theirs. Both are evaluated in 128
-episodes, whose starts and goals are drawn anew every time.
+episodes, whose starts and goals are drawn anew every time; by its default JaxGCRL's SAC then draws its actions, ours
+takes the best.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
 counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
