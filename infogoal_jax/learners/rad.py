@@ -63,6 +63,8 @@ def make(config: RADConfig) -> Learner:
 
     def augment(key, goal_inputs):
         if goal_inputs.dtype == jnp.uint8:
+            side = min(goal_inputs.shape[-3:-1])
+            require(config.shift < side, "learner.shift", config.shift, f"give fewer pixels than an image has, {side}")
             return shifted(key, goal_inputs, config.shift)
         return scaled(key, goal_inputs, config.amplitude_low, config.amplitude_high)
 

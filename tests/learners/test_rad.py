@@ -52,6 +52,12 @@ def test_every_image_is_the_padded_original_at_some_shift(batch):
     assert len(set(offsets)) > len(offsets) // 2  # Each by a draw of its own.
 
 
+def test_a_shift_that_can_leave_nothing_of_an_image_is_refused():
+    augment = rad.make(rad.RADConfig(shift=8)).augment
+    with pytest.raises(UserError, match="learner.shift = 8: give fewer pixels than an image has, 8"):
+        jax.eval_shape(augment, jax.random.key(0), images(2))
+
+
 def test_shifts_are_uniform_along_both_axes():
     """Each of the nine shifts of one pixel comes up in a ninth of 1800 draws, within five standard deviations (13)."""
     image = images()
