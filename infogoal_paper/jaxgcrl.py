@@ -230,8 +230,15 @@ def foot(outcomes: Iterable[Outcome]) -> str:
     return f"after equal updates, {seeds} seeds; {machines_in_words(each.machine for each in own)}."
 
 
-HEAD = ["task", "program, seeds", "million steps", "success", "at equal updates"]
-HEAD += ["steps/s", f"GPU s a seed to {SUCCESS}"]
+HEAD = [
+    "task",
+    "program, seeds",
+    "million steps",
+    "success",
+    "at equal updates",
+    "steps/s",
+    f"GPU s a seed to {SUCCESS}",
+]
 
 
 KINDS = {"beside": Outcome, "alone": Outcome, "parts": Parts}
