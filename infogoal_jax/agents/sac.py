@@ -44,8 +44,8 @@ class SACConfig(OfSteps):
     layer_norm: bool = False
     """Normalise what each ReLU of the critics gets."""
     bounded: bool = False
-    """Keep targets between 0 and 1, without a worth of entropy: the actor's loss alone has it. Not for rewards other
-    than 1 at the goal."""
+    """Keep targets between 0 and the largest value, without a worth of entropy: the actor's loss alone has it. Not for
+    rewards other than 1 at the goal."""
 
 
 @flax.struct.dataclass
