@@ -26,7 +26,7 @@ from infogoal_jax.envs.environment import Traits, has_image_goals
 from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import MOST_GOALS
-from infogoal_jax.learners.learner import has_own_loss, has_reward
+from infogoal_jax.learners.learner import has_reward, teaches_goals
 from infogoal_jax.runs import low_level as low_levels
 from infogoal_jax.train import program
 from infogoal_jax.train.checked_parts import is_foreign
@@ -158,7 +158,7 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
             f"a goal of {config.task} is not shown as the agent sees a state, so that there is no phi(g, g)",
             "give False",
         )
-    if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
+    if config.stop_encoder_gradient and not teaches_goals(make_learner(config)):
         yield Refusal(
             "stop_encoder_gradient",
             True,

@@ -207,7 +207,7 @@ def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Arr
     return code if learner.condition is None else learner.condition(params, code, features)
 
 
-def has_own_loss(learner: Learner) -> bool:
+def teaches_goals(learner: Learner) -> bool:
     """Whether anything but the agent's loss teaches the goal encoder what goals are."""
     return learner.loss is not no_loss and not learner.only_compresses
 

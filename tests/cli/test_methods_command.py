@@ -22,9 +22,9 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
 from infogoal_jax.loading import (
     check_combination,
-    has_own_loss,
     make_learner,
     reasons_against,
+    teaches_goals,
     traits_declared,
     traits_seen,
 )
@@ -173,10 +173,11 @@ def test_target_states_of_positions_are_refused_by_name():
 
 
 @pytest.mark.parametrize("name", list(learners.registry))
-def test_learners_said_to_have_no_loss_have_none(name):
-    """A loss that looks at nothing is 0; one of its own cannot do without a batch."""
+def test_learners_said_to_teach_no_goals_have_no_loss_that_does(name):
+    """A loss that looks at nothing is 0; one of its own cannot do without a batch. InfoBot's only compresses."""
     learner = make_learner(presets.load("object_search", learner=name))
-    if has_own_loss(learner):
+    assert learner.only_compresses == (name == "infobot") and not (learner.only_compresses and teaches_goals(learner))
+    if teaches_goals(learner) or learner.only_compresses:
         with pytest.raises((AttributeError, TypeError)):
             learner.loss({}, (), None, NoHyperparameters(), None)
     else:
