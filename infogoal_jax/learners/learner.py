@@ -207,9 +207,14 @@ def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Arr
     return code if learner.condition is None else learner.condition(params, code, features)
 
 
+def has_own_loss(learner: Learner) -> bool:
+    """Whether the goal encoder is trained by anything but the agent's loss."""
+    return learner.loss is not no_loss
+
+
 def teaches_goals(learner: Learner) -> bool:
     """Whether anything but the agent's loss teaches the goal encoder what goals are."""
-    return learner.loss is not no_loss and not learner.only_compresses
+    return has_own_loss(learner) and not learner.only_compresses
 
 
 def has_reward(learner: Learner) -> bool:

@@ -20,14 +20,8 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
-from infogoal_jax.loading import (
-    check_combination,
-    make_learner,
-    reasons_against,
-    teaches_goals,
-    traits_declared,
-    traits_seen,
-)
+from infogoal_jax.learners.learner import has_own_loss, teaches_goals
+from infogoal_jax.loading import check_combination, make_learner, reasons_against, traits_declared, traits_seen
 from infogoal_jax.presets.loading import run_title, train_flags
 from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
@@ -173,11 +167,11 @@ def test_target_states_of_positions_are_refused_by_name():
 
 
 @pytest.mark.parametrize("name", list(learners.registry))
-def test_learners_said_to_teach_no_goals_have_no_loss_that_does(name):
-    """A loss that looks at nothing is 0; one of its own cannot do without a batch. InfoBot's only compresses."""
+def test_learners_said_to_have_no_loss_have_none(name):
+    """A loss that looks at nothing is 0; one of its own cannot do without a batch. InfoBot's teaches no goals."""
     learner = make_learner(presets.load("object_search", learner=name))
-    assert learner.only_compresses == (name == "infobot") and not (learner.only_compresses and teaches_goals(learner))
-    if teaches_goals(learner) or learner.only_compresses:
+    assert teaches_goals(learner) == (has_own_loss(learner) and name != "infobot")
+    if has_own_loss(learner):
         with pytest.raises((AttributeError, TypeError)):
             learner.loss({}, (), None, NoHyperparameters(), None)
     else:
