@@ -151,12 +151,17 @@ def learnt_in(outcome: Outcome) -> np.ndarray:
     return np.concatenate([later[:1] if len(later) else outcome.steps, later])
 
 
+def all_are_timed(sides: dict[str, Outcome], alone: list[Outcome]) -> bool:
+    """Whether the programs of all these sides ran alone, too."""
+    return {each.program() for each in sides.values()} <= {each.program() for each in alone}
+
+
 def compared(outcomes: Iterable[Outcome], alone: list[Outcome]) -> Iterator[tuple[str, str, dict[str, Outcome]]]:
     """Task, agent and the outcome of each side, in order; with the seconds of those that ran alone where all did."""
-    ordered, timed = sorted(outcomes, key=Outcome.key), {each.program() for each in alone}
+    ordered = sorted(outcomes, key=Outcome.key)
     for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
         sides = {side: joined(list(seeds)) for side, seeds in groupby(both, key=lambda each: each.side)}
-        if {each.program() for each in sides.values()} <= timed:
+        if all_are_timed(sides, alone):
             sides = {side: timed_alone(each, alone) for side, each in sides.items()}
         yield task, agent, sides
 
@@ -179,12 +184,12 @@ def unlearned(outcomes: Iterable[Outcome]) -> str:
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
     """A row for each side of a task and agent that one of them learned; behind the speed of ours stands how many times
     theirs it is, where both were timed alone."""
-    lines, timed = [], {each.program() for each in alone}
+    lines = []
     for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
         if not is_learned(sides):
             continue
         updates, theirs = min(each.updates for each in sides.values()), sides.get("theirs")
-        are_timed = {each.program() for each in sides.values()} <= timed
+        are_timed = all_are_timed(sides, alone)
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
             success = [tight(mean_interval(found)) for found in (curves[:, -1], success_after(outcome, updates))]

@@ -24,8 +24,6 @@ from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
-SMALLEST_SQUARE = 1e-6
-"""Added to a squared distance, so that its root has a gradient at 0."""
 OF_RELABELLING = {"current_share": 0.0, "future_share": 1.0, "strategy": "soon", "skip_reached": False}
 """Every transition carries a goal that was achieved."""
 
@@ -75,7 +73,12 @@ def energy(kind: Energy, first: jax.Array, second: jax.Array) -> jax.Array:
     """How well representations [..., D] fit, float32 [...]."""
     if kind == "dot":
         return (first * second).sum(-1)
-    return -jnp.sqrt(jnp.square(first - second).sum(-1) + SMALLEST_SQUARE)
+    return -length(first - second)
+
+
+def length(vectors: jax.Array) -> jax.Array:
+    """The length of each vector of [..., D], float32 [...], which has a gradient at 0 too."""
+    return jnp.sqrt(jnp.square(vectors).sum(-1) + 1e-6)
 
 
 def energies(kind: Energy, first: jax.Array, second: jax.Array) -> jax.Array:
@@ -90,17 +93,17 @@ def distances(first: jax.Array, second: jax.Array) -> jax.Array:
     Its gradient is two products of matrices, and holds no differences [B, G, D]: sum_j w_ij (a_i - b_j) is
     a_i sum_j w_ij - (W b)_i. All are taken from the centre of the second, so that close vectors lose no digits.
     """
-    return -energy("norm", first[:, None], second[None])
+    return length(first[:, None] - second[None])
 
 
 def distances_and_what_their_gradient_needs(first, second):
-    length = distances(first, second)
-    return length, (first, second, length)
+    apart = distances(first, second)
+    return apart, (first, second, apart)
 
 
 def gradient_of_distances(kept, cotangent):
-    first, second, length = kept
-    weight, centre = cotangent / length, second.mean(0)
+    first, second, apart = kept
+    weight, centre = cotangent / apart, second.mean(0)
     first, second = first - centre, second - centre
     product = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
     return (
