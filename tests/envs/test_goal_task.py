@@ -258,6 +258,23 @@ def test_steps_to_numbers_that_are_not_finite_are_counted():
     assert np.isfinite(rows.observation).all()
 
 
+@pytest.mark.long
+def test_where_every_step_diverges_metrics_are_numbers():
+    """Rewards are a mean over the steps that were taken, of which there is none."""
+    presets.register("square", changed(move=lambda self, place, action: place + jnp.nan))
+    config = presets.load(
+        "square", "none", num_envs=2, rollout_steps=4, batch_size=2, updates_per_epoch=1, buffer_steps=8
+    )
+    train = make_train(config)
+
+    def an_epoch(key):
+        return train.epochs(train.initial(key, config.hyper, train.env), jnp.arange(1), config.hyper, train.env)[1]
+
+    metrics = jax.jit(an_epoch)(jax.random.key(0))
+    assert metrics["env_steps"] == 0 and metrics["agent/external_reward"] == 0
+    assert all(np.isfinite(value).all() for value in metrics.values())
+
+
 def test_what_achieves_no_goal_has_a_cell_of_its_own():
     """As the last corner of the goal space has, whose visits it would share."""
     cells = np.asarray(Square(GOALS).cell_of(jnp.array([[0.0, 0.0], [2.0, 2.0], [9.0, 9.0], [jnp.nan, 0.0]])))
