@@ -5,9 +5,9 @@ benchmarks/peers/jaxgcrl_peer.py.
                                               # put results into docs/results/jaxgcrl.json.xz
     python -m infogoal_paper.pages jaxgcrl    # write the tables of docs/reference/vectors.md
 
-Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
-themselves: their seconds for a round stand in the table. `--parts` names what the benchmark's `--parts` wrote. What is
-there already of a program and seed is replaced.
+Programs that share a GPU say nothing about speed, which is left out then. `--alone` names results of a few rounds of
+each that had the GPU to themselves: their seconds for a round stand in the table. `--parts` names what the benchmark's
+`--parts` wrote. What is there already of a program and seed is replaced.
 """
 
 import argparse
@@ -182,8 +182,8 @@ def unlearned(outcomes: Iterable[Outcome]) -> str:
 
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
-    """A row for each side of a task and agent that one of them learned; behind the speed of ours stands how many times
-    theirs it is, where both were timed alone."""
+    """A row for each side of a task and agent that one of them learned. Speed and seconds stand only where both were
+    timed alone; behind the speed of ours how many times theirs it is."""
     lines = []
     for task, agent, sides in compared((each for each in outcomes if each.side in SIDES), alone):
         if not is_learned(sides):
@@ -194,18 +194,10 @@ def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
             success = [tight(mean_interval(found)) for found in (curves[:, -1], success_after(outcome, updates))]
             own, other = outcome.steps_per_second(), theirs and theirs.steps_per_second()
-            speed = f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and are_timed and side != "theirs" else "")
+            speed = f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side != "theirs" else "")
+            timed = [speed, outcome.to_success()] if are_timed else ["", ""]
             seeds = max(len(curves), outcome.side_by_side)
-            lines.append(
-                [
-                    f"{task}, {agent}",
-                    f"{side}, {seeds}",
-                    f"{steps[-1] / 1e6:.2f}",
-                    *success,
-                    speed,
-                    outcome.to_success(),
-                ]
-            )
+            lines.append([f"{task}, {agent}", f"{side}, {seeds}", f"{steps[-1] / 1e6:.2f}", *success, *timed])
     return lines
 
 
@@ -299,8 +291,8 @@ def parts_rows(parts: Iterable[Parts]) -> list[list[str]]:
 
 
 def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
-    """Draw success against environment steps, and against seconds of training a seed; a column for each task and agent
-    that both sides ran, and one of them learned."""
+    """Draw success against environment steps, and, where both sides were timed alone, against seconds of training a
+    seed; a column for each task and agent that both sides ran, and one of them learned."""
     drawn = (each for each in outcomes if each.side in SIDES)
     columns = [each for each in compared(drawn, alone) if len(each[2]) > 1 and is_learned(each[2])]
     with figure_style():
@@ -308,12 +300,15 @@ def draw(outcomes: Iterable[Outcome], alone: list[Outcome], path: Path) -> None:
         figure = empty_figure("Beside JaxGCRL", below, (2.3 * len(columns), 4.2))
         panels = figure.subplots(2, len(columns), squeeze=False, sharey=True)
         for (upper, lower), (task, agent, sides) in zip(panels.T, columns, strict=True):
+            are_timed = all_are_timed(sides, alone)
             for side, outcome in sides.items():
                 curves, colour = np.array(outcome.success), ROOM_COLOURS[SIDES.index(side)]
                 draw_curve(upper, np.array(outcome.steps) / 1e6, curves, colour, side, SHARE)
-                draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
+                if are_timed:
+                    draw_curve(lower, np.array(outcome.seconds) / outcome.side_by_side, curves, colour, side, SHARE)
             upper.set(title=f"{task}, {agent}", xlabel="million steps")
             lower.set(xlabel="GPU seconds a seed")
+            lower.set_visible(are_timed)
             for axes in (upper, lower):
                 finish_share_axis(axes, "success" if axes in panels[:, 0] else "")
         lines = {line.get_label(): line for axes in panels[0] for line in axes.get_lines()}

@@ -29,12 +29,12 @@ def test_seeds_are_compared_at_the_updates_that_both_sides_made():
     ours, theirs = outcome("ours", rounds=6, seeds=2), [outcome("theirs", seed, rounds=2) for seed in (0, 1)]
     for each in theirs:
         each.steps = [steps + 2_000 for steps in each.steps]
-    mine, other = jaxgcrl.rows([*theirs, ours], [])
+    mine, other = jaxgcrl.rows([*theirs, ours], [ours, *theirs])
     assert mine[1:5] == ["ours, 2", "0.01", "0.60±0.00", "0.20±0.00"]
     assert other[1:5] == ["theirs, 2", "0.00", "0.20±0.00", "0.20±0.00"]
     np.testing.assert_allclose(theirs[0].updates_at(), [60, 120])
     # Ours has 0.5 after five rounds of 2 s, which two seeds share.
-    assert mine[5:] == ["1,000", "5.0"] and other[5:] == ["500", "never"]
+    assert mine[5:] == ["1,000 (2.0x)", "5.0"] and other[5:] == ["500", "never"]
 
 
 def test_seeds_that_were_evaluated_at_other_steps_are_compared_in_between():
@@ -66,13 +66,13 @@ def test_seconds_are_counted_to_the_first_evaluation_with_enough_success():
     assert outcome("ours", success=0.5).to_success() == "at most 2.0"
 
 
-def test_times_theirs_are_said_where_both_were_timed_alone():
+def test_speed_and_seconds_are_said_where_both_were_timed_alone():
     """Programs beside others say how full the GPU was, and so does one side beside others and the other alone."""
     sides = [outcome("ours", seeds=2), outcome("theirs")]
     fast = [dataclasses.replace(each, seconds=[seconds / 2 for seconds in each.seconds]) for each in sides]
-    for alone, times, said in (([], 1, ""), (fast, 2, " (2.0x)"), (fast[:1], 1, ""), (fast[1:], 1, "")):
-        mine, other = jaxgcrl.rows(sides, alone)
-        assert mine[5] == f"{times * 1000:,}{said}" and other[5] == f"{times * 500:,}"
+    assert [row[5:] for row in jaxgcrl.rows(sides, fast)] == [["2,000 (2.0x)", "never"], ["1,000", "never"]]
+    for alone in ([], fast[:1], fast[1:]):
+        assert [row[5:] for row in jaxgcrl.rows(sides, alone)] == [["", ""]] * 2
 
 
 def test_goal_encoders_are_compared_at_the_updates_that_all_of_them_made():
@@ -133,8 +133,10 @@ def test_what_both_sides_ran_and_one_learned_is_drawn(tmp_path, monkeypatch):
     low = [dataclasses.replace(outcome(side, success=0.01), task="pusher") for side in ("ours", "theirs")]
     outcomes = [outcome("ours", seeds=4), outcome("ours+infogoal", success=0.2), outcome("theirs"), *low]
     maze = [dataclasses.replace(outcome(side), task="maze") for side in ("ours", "ours+vae")]
-    jaxgcrl.draw([*outcomes, *maze, outcome("ours+cogoal")], [], tmp_path / "x.png")
-    upper, lower = drawn[0].axes
+    for alone in (outcomes[:1], [outcomes[0], outcomes[2]]):
+        jaxgcrl.draw([*outcomes, *maze, outcome("ours+cogoal")], alone, tmp_path / "x.png")
+    assert [each.axes[1].get_visible() for each in drawn] == [False, True]
+    upper, lower = drawn[1].axes
     assert upper.get_title() == "ant, crl"
     assert [line.get_label() for line in upper.lines if line.get_linewidth() > 1] == ["ours", "theirs"]
     np.testing.assert_allclose(upper.lines[0].get_xdata(), [1e-3, 2e-3, 3e-3])
