@@ -202,6 +202,9 @@ def check_where(where: Where, resume: str) -> None:
 
     several = bool(where.distributed)
     require(several or not where.num_processes, "num_processes", where.num_processes, "goes with --distributed")
+    require(several or not where.process, "process", where.process, "goes with --distributed")
+    for name in ("num_processes", "process") if where.distributed == AUTO else ():
+        require(not (number := getattr(where, name)), name, number, "auto finds it out; leave it out")
     require(not (several and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
     check_flags(where.engine, where.processes, where.gpus, where.ray_address)
 

@@ -14,7 +14,15 @@ import numpy as np
 
 from infogoal_jax.data import frames, splits, text
 from infogoal_jax.envs.environment import Traits
-from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
+from infogoal_jax.envs.graph import (
+    DetectionWalk,
+    distances,
+    frame_edges,
+    pad_true,
+    possible_starts,
+    walk_arrays,
+    with_uses,
+)
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Count, Size
 from infogoal_jax.goal_uses import NO_USE
@@ -108,7 +116,8 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
         kind = f"{'-hovering' if config.hovering else ''}{'-gathered' if config.gathered else ''}"
         name = f"shelf-{config.generator_seed}{kind}-{shelf.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering, config.gathered))
-    return from_data(data, asked, embeddings, config)
+    env = from_data(data, asked, embeddings, config)
+    return with_uses(env) if config.questions else env
 
 
 def from_data(

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import frames
+from infogoal_jax.data import archives, frames
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import GoalSet
@@ -235,3 +235,11 @@ def walk_arrays(next_node: np.ndarray, goals: GoalSet, distance: np.ndarray, epi
         "num_starts": jax.device_put(may_start.sum(1).astype(np.int32)),
         "episode_length": episode_length,
     }
+
+
+def with_uses(walk: DetectionWalk) -> DetectionWalk:
+    """The task whose words for its data tell the uses and regions of its goals, too: where a file of the user's has
+    them."""
+    goals = walk.goals
+    uses = archives.checksum(goals.regions, goals.train_mask, goals.validation_mask, goals.test_mask)
+    return walk.replace(source=f"{walk.source}, uses of goals {uses}")

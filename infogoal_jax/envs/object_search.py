@@ -15,7 +15,15 @@ import numpy as np
 
 from infogoal_jax.data import active_vision, archives, splits, text
 from infogoal_jax.envs.environment import Traits
-from infogoal_jax.envs.graph import DetectionWalk, GraphState, distances, pad_true, possible_starts, walk_arrays
+from infogoal_jax.envs.graph import (
+    DetectionWalk,
+    GraphState,
+    distances,
+    pad_true,
+    possible_starts,
+    walk_arrays,
+    with_uses,
+)
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import Size, Within
 from infogoal_jax.goals import GoalSet
@@ -171,7 +179,8 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
         from infogoal_jax.stand_ins import house
 
         scenes = house.load(**reading)
-    return from_data(scenes, split, inputs, config.episode_length, config.memory)
+    env = from_data(scenes, split, inputs, config.episode_length, config.memory)
+    return with_uses(env) if config.split else env
 
 
 def from_data(

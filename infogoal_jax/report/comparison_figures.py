@@ -288,7 +288,7 @@ def comparison(compared: list[Compared], env) -> Figure:
             draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry, SHARE)
         finish_progress_axis(left, label, max(ends))
         finish_length_axis(right, env.episode_length)
-        for axes in (left, right):
-            finish_share_axis(axes, f"success rate, {USE_TITLES[group]}")
+        for axes, label_of_share in ((left, "success rate"), (right, "reached by then")):
+            finish_share_axis(axes, f"{label_of_share}, {USE_TITLES[group]}")
     figure.legend(*figure.axes[1].get_legend_handles_labels(), loc="outside right center")
     return figure

@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from infogoal_jax import checks, learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted, require
-from infogoal_jax.loading import make_train
 from infogoal_jax.report.canvas import (
     FORMATS,
     NOT_NEGATIVE,
@@ -92,7 +91,7 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
     run = load_run(folder)
     folder = run.folder
     diverged = diverged_seeds(folder)
-    train, evaluations = make_train(run.config, env), table_of(folder, "evaluations", diverged)
+    train, evaluations = run.train_in(env), table_of(folder, "evaluations", diverged)
     params, seed = None, -1
     if (folder / "policy").exists() and evaluations.seeds:
         seed = evaluations.seeds[0]
@@ -207,7 +206,7 @@ def success_by_length(subject: Subject) -> Figure:
         if shortest is not None:
             curve = success_within(shortest, mask, longest)
             axes.plot(curve, color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
-    finish_share_axis(axes, "success rate")
+    finish_share_axis(axes, "reached by then")  # And left again, where reaching a goal does not end an episode.
     finish_length_axis(axes, longest)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -33,8 +33,16 @@ class Run(Description):
 
     @functools.cached_property
     def train(self) -> Train:
-        """The training function of the run's configuration, with its environment."""
-        return make_train(self.config)
+        """The training function of the run's configuration, with its environment. Raises `UserError` where the data
+        that the configuration names are others by now."""
+        return self.train_in()
+
+    def train_in(self, env: Any = None, named: str = "data") -> Train:
+        """As `train`, in this environment; None: in its own. named: the field by which other data are refused."""
+        train = make_train(self.config, env)
+        found = data_of(train.env)
+        require(found == self.data, named, found, f"the run's data were {self.data}")
+        return train
 
     @property
     def env(self) -> Any:
@@ -93,8 +101,7 @@ def load_run(folder: str | Path, **moved: str) -> Run:
             require(name in known, name, moved[name], f"is no place of the task's data. Known: {', '.join(known)}")
         config = dataclasses.replace(run.config, env=dataclasses.replace(run.config.env, **moved))
         run = dataclasses.replace(run, config=config)
-        found = data_of(run.env)
-        require(found == run.data, next(iter(moved)), found, f"the run's data were {run.data}")
+        vars(run)["train"] = run.train_in(named=next(iter(moved)))  # What the property would make again.
     return run
 
 

@@ -19,7 +19,6 @@ from infogoal_jax.errors import counted, counted_each, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import USES
 from infogoal_jax.goals import GoalSpace
-from infogoal_jax.loading import make_train
 from infogoal_jax.presets.loading import run_title
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
@@ -296,7 +295,7 @@ def evaluate_run(
         corruption = checks.number(corruption, "corruption", 0, 1, "give a weight from 0 to 1, for example 0.4")
     run, console = load_run(folder), console or Console()
     folder = run.folder
-    train, diverged = make_train(run.config, env), diverged_seeds(folder)
+    train, diverged = run.train_in(env), diverged_seeds(folder)
     check_simulated(train.env, "run", run.name)
     has_images = has_image_goals(train.env)
     require(

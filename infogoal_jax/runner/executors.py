@@ -39,6 +39,7 @@ WAIT = 0.5
 """Seconds between two looks at what others do."""
 MEMORY = 0.9
 """Of a GPU's memory, what its processes have together."""
+VISIBLE = "CUDA_VISIBLE_DEVICES"
 MPS = "nvidia-cuda-mps-control"
 """The daemon by which processes compute on an NVIDIA GPU at the same time; without it they take turns."""
 LOSSES = 3
@@ -52,6 +53,9 @@ def check_flags(engine: str, processes: int, gpus: int, ray_address: str) -> Non
     by_ray = engine == "ray"
     require(0 <= processes <= 1000, "processes", processes, "give 0 to 1000")
     require(gpus >= 0, "gpus", gpus, "give 0 or more")
+    visible = os.environ.get(VISIBLE, "")
+    there = len(visible.split(",")) if visible else gpus
+    require(gpus <= there, "gpus", gpus, f"give at most {there}: {VISIBLE} is {visible}")
     require(by_ray or not ray_address, "ray_address", ray_address, "goes with --engine ray")
     require(not (by_ray and gpus), "gpus", gpus, "Ray spreads programs over GPUs by itself; leave it out")
     spread = "goes with --processes of at least 2, which are spread over them"
@@ -210,9 +214,9 @@ def environment(number: int, processes: int, gpus: int) -> dict[str, str]:
     """The environment of a process: its GPU, and what it may take of the memory."""
     if not gpus:
         return dict(os.environ)
-    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    visible = os.environ.get(VISIBLE, "")
     names = visible.split(",") if visible else [str(gpu) for gpu in range(gpus)]
-    gpu = {"CUDA_VISIBLE_DEVICES": names[number % min(gpus, len(names))]}
+    gpu = {VISIBLE: names[number % gpus]}
     return os.environ | gpu | memory_of_each(-(-processes // gpus))
 
 

@@ -41,7 +41,7 @@ from infogoal_jax.runs.folder import RUN, BeingWrittenError, check_new, locked
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped
 
-NAME, PARTS = configuration.SWEEP, "parts"
+NAME, PARTS, JOINED = configuration.SWEEP, "parts", "joined-parts"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -289,13 +289,17 @@ def take_up(config: TrainConfig, plan: Plan, folder: Path) -> None:
         before, now = getattr(then, field.name), getattr(plan, field.name)
         require(before == now, field.name, now, f"{folder / NAME} has {shown(before)}; give the same, or a new folder")
     config = configuration.located(config)
-    if config == configuration.located(planned):
+    has_moved, all_jobs = config != configuration.located(planned), jobs_of(config, plan)
+    if not has_moved and all(job.is_done(folder) for job in all_jobs):
         return
-    runs = {folder / name for name in plan.names} | {job.folder(folder) for job in jobs_of(config, plan)}
+    runs = {folder / name for name in plan.names} | {job.folder(folder) for job in all_jobs}
     begun = {run: configuration.read(run) for run in runs if (run / configuration.NAME).exists()}
-    source = data_of(load_environment(config))
-    for run, about in begun.items():
-        require(source == about.data, "data", source, f"{run} has {about.data!r}; give the same data")
+    if begun:
+        source = data_of(load_environment(config))
+        for run, about in begun.items():
+            require(source == about.data, "data", source, f"{run} has {about.data!r}; give the same data")
+    if not has_moved:
+        return
     for run, about in begun.items():
         moved = dataclasses.replace(about.config, env=config.env, agent=config.agent)
         configuration.write(run, dataclasses.replace(about, config=moved))
@@ -304,7 +308,9 @@ def take_up(config: TrainConfig, plan: Plan, folder: Path) -> None:
 
 def join(folder: Path, seeds: list[int]) -> None:
     """Make one run of the parts in this folder, which then go. Nothing is lost if it is stopped on the way: the parts
-    go last."""
+    go last, under another name, since some of them make no run."""
+    if (folder / JOINED).exists():
+        shutil.rmtree(folder / JOINED)
     if not (folder / PARTS).exists():
         return
     found = list((folder / PARTS).iterdir())
@@ -330,4 +336,5 @@ def join(folder: Path, seeds: list[int]) -> None:
             for name in ("env_steps_per_second", "updates_per_second")
         }
         tables.write_timing(folder, Timing(sum(timing.compile_seconds for timing in timings), seconds, **rates))
-    shutil.rmtree(folder / PARTS)
+    (folder / PARTS).rename(folder / JOINED)
+    shutil.rmtree(folder / JOINED)

@@ -14,6 +14,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.presets.loading import method_title, run_title
 from infogoal_jax.runner import training
 from infogoal_jax.runner.progress import ProgressLine, progress_line
+from infogoal_jax.runs import tables
 from infogoal_jax.runs.configuration import to_dict
 
 NOTHING_SENT = ("offline", "dryrun", "disabled")
@@ -64,17 +65,20 @@ def seed_means(rows: list[dict]) -> dict[str, float]:
     return {name: fmean(row[name] for row in rows) for name in names}
 
 
-def success_in_words(progress: training.Progress) -> list[str]:
-    """Mean success over seeds of the last evaluation: `train 0.34`, `test 0.22`."""
-    means = seed_means(progress.evaluations)
+def success_in_words(evaluations: list[dict]) -> list[str]:
+    """Mean success over seeds of one evaluation: `train 0.34`, `test 0.22`."""
+    means = seed_means(evaluations)
     return [f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means]
 
 
 def advancing(line: ProgressLine) -> training.Listener:
-    """What shows on a line how far its run is, how well it does and how fast."""
+    """What shows on a line how far its run is, how well its seeds do that did not diverge, and how fast."""
+    diverged: set[int] = set()
 
     def advance(progress: training.Progress) -> None:
-        numbers = "  ".join(success_in_words(progress))
+        diverged.update(tables.diverged_seeds(progress.epochs))
+        going_on = [row for row in progress.evaluations if row["seed"] not in diverged]
+        numbers = "  ".join(success_in_words(going_on) if going_on else ["every seed diverged"])
         rates = [f"{progress.env_steps_per_second:,.0f} env steps/s"] * bool(progress.env_steps_per_second)
         line.advance(progress.epoch, numbers, "  ".join([*rates, f"{progress.updates_per_second:,.0f} updates/s"]))
 

@@ -65,9 +65,9 @@ ADDED: dict[type, dict[str, Any]] = {
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
 NOT_READ = Place(Path("a configuration"))
-DATA = ("dataset", "text_embeddings", "goal_images", "backgrounds")
+DATA = ("dataset", "text_embeddings", "goal_images", "backgrounds", "split", "questions")
 """Fields of a task that name files whose content the description of the data has a checksum of."""
-FILES = {"env": (*DATA, "split", "questions"), "agent": ("low_level",)}
+FILES = {"env": DATA, "agent": ("low_level",)}
 """Fields that name files, of the parts that have them."""
 
 
@@ -240,7 +240,7 @@ def read_values(folder: Path, field: str, remedy: str) -> tuple[Any, Place]:
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
     if (folder / SWEEP).exists() and not place.path.exists():
         own = sorted(path.parent for path in folder.glob(f"*/{NAME}"))
-        such = f", such as {own[0]}; `infogoal compare` takes all of them, {folder}/*/" if own else ""
+        such = f", such as {own[0]}; `infogoal compare` takes all of them, {folder}/*=*/" if own else ""
         raise UserError(f"{given}: is of a sweep; give one of its runs{such}")
     missing = "holds no config.json" if folder.exists() else "there is no such folder"
     return parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place), place

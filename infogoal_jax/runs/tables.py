@@ -1,4 +1,4 @@
-"""The numbers of a run. epochs, evaluations and curve: tables to which it appends, as CSV and as JSON lines.
+"""The numbers of a run. epochs and evaluations: tables to which it appends, as CSV and as JSON lines.
 timing.json and evaluation.json: numbers about a run that are no part of it.
 
 A line is a row of a seed and an epoch. Lists of numbers stand in the JSON lines only. What a killed run wrote after its
@@ -78,24 +78,35 @@ def read_table(folder: Path, table: str) -> list[Row]:
     line that was cut short is left out."""
     place = Place(folder / file_names(table)[1])
     content = read_bytes(place, f"{place.path}: not there; give the folder of a run of `infogoal train`")
+    needed = WATCHED if table == "epochs" else ()
     rows: list[Row] = []
     for at, values in parse_lines(content, place):
         decode(RowKey, values, at)
-        for name, value in values.items():
-            if not is_numbers(value):
-                raise at.wrong(name, value, "should be a number, or a list of numbers")
-        if rows and values.keys() != rows[0].keys():
-            odd = sorted(values.keys() ^ rows[0].keys())[0]
-            raise at.refusal(f"{odd} is in this row or in the first one, not in both")
+        shapes = {name: shape_of(value) for name, value in values.items()}
+        for name, shape in shapes.items():
+            if shape is None:
+                raise at.wrong(name, values[name], "should be a number, or a list of numbers")
+        if not rows:
+            first = shapes
+        for name in sorted({*first, *shapes, *needed}):
+            if name not in shapes:
+                raise at.refusal(f"{name} is missing")
+            if name not in first:
+                raise at.refusal(f"{name} is in this row and not in the first one")
+            if shapes[name] != first[name]:
+                raise at.wrong(name, values[name], f"should have the shape of the first row, {list(first[name])}")
         rows.append(values)
     return rows
 
 
-def is_numbers(value: Any) -> bool:
-    """Whether a value is a number, or numbers in lists."""
+def shape_of(value: Any) -> tuple[int, ...] | None:
+    """The shape of a number, which is (), or of numbers in lists; None for what is neither, and for lists of several
+    lengths."""
     if isinstance(value, list):
-        return all(is_numbers(item) for item in value)
-    return isinstance(value, int | float) and not isinstance(value, bool)
+        shapes = {shape_of(item) for item in value}
+        (shape,) = shapes if len(shapes) == 1 else [None if shapes else ()]
+        return None if shape is None else (len(value), *shape)
+    return () if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def diverged_seeds(rows: Sequence[Row]) -> dict[int, int]:

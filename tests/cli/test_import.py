@@ -163,7 +163,7 @@ def test_a_sweep_says_which_file_it_needs(my_task, capsys):
     assert refused("report rates".split(), capsys).endswith("is of a sweep; give one of its runs")
     Path("rates/of_one").mkdir()
     Path("rates/of_one/config.json").write_text("{}")
-    such = "such as rates/of_one; `infogoal compare` takes all of them, rates/*/"
+    such = "such as rates/of_one; `infogoal compare` takes all of them, rates/*=*/"
     assert refused("compare rates --out a.pdf".split(), capsys).endswith(such)
     shutil.rmtree("rates/of_one")
     forget()

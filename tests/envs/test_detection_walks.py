@@ -2,6 +2,7 @@
 as rows, learning without acting, and datasets that cannot be used."""
 
 import dataclasses
+import json
 
 import hand_made
 import hand_made_frames
@@ -14,8 +15,10 @@ from infogoal_jax import make_train, presets
 from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.data import splits
-from infogoal_jax.envs import object_search
+from infogoal_jax.envs import load, object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, from_data
+from infogoal_jax.envs.environment import data_of
+from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.episodes import rollout
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
@@ -179,6 +182,29 @@ def test_a_split_without_training_objects_is_refused():
     split = splits.make_split({name: ("room", "test") for name in hand_made.SPLIT.objects})
     with pytest.raises(UserError, match="training object"):
         object_search.from_data(hand_made.scenes(), split, np.zeros((8, 4), np.float32), 20)
+
+
+def told_again(path, objects, make):
+    """What the data are with a file of these objects, and once the last training object of it is for the test."""
+    for _ in range(2):
+        path.write_text(json.dumps({"objects": objects}))
+        yield data_of(make(str(path)))
+        last = [name for name in objects if objects[name]["use"] == "train"][-1]
+        objects = objects | {last: objects[last] | {"use": "test"}}
+
+
+def test_other_uses_of_the_same_goals_are_other_data(tmp_path):
+    """Or a run would go on with other training goals, and call those that it was trained on unseen."""
+    split, asked = splits.AUTHORS_SPLIT, json.loads(splits.SHIPPED_QUESTIONS.read_text())["objects"]
+    uses = {name: use for use in ("train", "validation", "test") for name in getattr(split, use)}
+    placed = {name: {"room": split.room_names[split.rooms[name]], "use": use} for name, use in uses.items()}
+    kinds = {
+        "split": (placed, lambda path: load("object_search", ObjectSearchConfig(split=path))),
+        "questions": (asked, lambda path: load("embodied_qa", EmbodiedQAConfig(questions=path))),
+    }
+    for name, (objects, make) in kinds.items():
+        assert make("").source in (first := next(told := told_again(tmp_path / name, objects, make)))
+        assert next(told) != first
 
 
 @pytest.fixture(scope="module")

@@ -120,6 +120,9 @@ def test_processes_are_spread_over_gpus(monkeypatch):
     assert {each["XLA_PYTHON_CLIENT_MEM_FRACTION"] for each in found} == {"0.300"}
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,7")
     assert executors.environment(1, 2, 2)["CUDA_VISIBLE_DEVICES"] == "7"
+    executors.check_flags("local", 2, 2, "")
+    with pytest.raises(UserError, match="gpus = 3: give at most 2: CUDA_VISIBLE_DEVICES is 3,7"):
+        executors.check_flags("local", 6, 3, "")
     assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in executors.environment(0, 2, 0)
 
 

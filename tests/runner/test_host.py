@@ -32,9 +32,11 @@ from infogoal_jax import make_train
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets.loading import method_title
 from infogoal_jax.runner import memory, progress, training
-from infogoal_jax.runner.listeners import make_listeners
+from infogoal_jax.runner.listeners import advancing, make_listeners
 from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.runner.training import Progress, run
+
+WATCHED = {"agent/loss": 1.0, "agent/gradient_norm": 1.0}
 
 ON_TWO_DEVICES = """
 import sys
@@ -242,12 +244,23 @@ def test_a_notebook_has_one_line_that_moves(monkeypatch):
 
 @pytest.mark.parametrize(("rate", "shown"), [(1000.0, True), (0.0, False)])
 def test_who_learns_offline_has_no_rate_of_steps(rate, shown, tmp_path, capsys):
-    row = {"seed": 0, "epoch": 2, "train_goal/success_rate": 0.5}
+    row = WATCHED | {"seed": 0, "epoch": 2, "train_goal/success_rate": 0.5}
     with make_listeners(tmp_path, hand_made.config(), 1) as listeners:
         for listen in listeners.progress:
             listen(training.Progress(2, 4, 1.0, 1.0, rate, 7.0, [row], [row]))
     printed = capsys.readouterr().out
     assert ("1,000 env steps/s" in printed) == ("env steps" in printed) == shown and "7 updates/s" in printed
+
+
+def test_success_on_the_line_is_that_of_the_seeds_that_did_not_diverge():
+    """As that of the table at the end."""
+    line = progress.ProgressLine("", 4, Console(file=io.StringIO()))
+    told, lost = advancing(line), {"agent/loss": float("nan")}
+    for epoch, losses, words in ((2, [{}, lost], "train 1.00"), (4, [lost, {}], "every seed diverged")):
+        rows = [WATCHED | own | {"seed": seed, "epoch": epoch} for seed, own in enumerate(losses)]
+        success = [{"seed": seed, "epoch": epoch, "train_goal/success_rate": 1.0 - seed} for seed in (0, 1)]
+        told(Progress(epoch, 4, 1.0, 1.0, 0.0, 7.0, rows, success))
+        assert line.numbers == words
 
 
 @pytest.fixture
@@ -265,7 +278,7 @@ def tell(listeners, pictures, seeds=(0,)):
     """What a run tells its listeners: two chunks, and pictures at the end."""
     for epoch in (2, 4):
         rows = [
-            {"seed": seed, "epoch": epoch, "train_goal/success_rate": epoch / 4, "first_reached": [[1]]}
+            WATCHED | {"seed": seed, "epoch": epoch, "train_goal/success_rate": epoch / 4, "first_reached": [[1]]}
             for seed in seeds
         ]
         for listen in listeners.progress:
@@ -329,13 +342,14 @@ def test_weights_and_biases_gets_every_epoch_of_a_chunk_at_its_step(tmp_path, mo
         )
 
     monkeypatch.setattr(wandb, "init", init)
-    epochs = [{"seed": seed, "epoch": epoch, "loss": 1.0} for epoch in (1, 2) for seed in (0, 1)]
+    epochs = [WATCHED | {"seed": seed, "epoch": epoch} for epoch in (1, 2) for seed in (0, 1)]
     evaluations = [{"seed": seed, "epoch": 2, "success": 0.5} for seed in (0, 1)]
     with make_listeners(tmp_path / "run", hand_made.config(), 2, wandb="project") as listeners:
         for listen in listeners.progress:
             listen(Progress(2, 2, 1.0, 1.0, 1000.0, 7.0, epochs, evaluations))
-    last = ["loss", "success"]
-    assert logged[:4] == [(0, 1, ["loss"]), (1, 1, ["loss"]), (0, 2, last), (1, 2, last)]
+    first = sorted(WATCHED)
+    last = [*first, "success"]
+    assert logged[:4] == [(0, 1, first), (1, 1, first), (0, 2, last), (1, 2, last)]
     assert logged[4:] == [(0, "finished"), (1, "finished")]
 
 

@@ -56,6 +56,7 @@ def prepare_worker() -> None:
 @pytest.fixture(autouse=True)
 def small_program(monkeypatch):
     monkeypatch.setattr(training, "make_train", small_train)
+    monkeypatch.setattr(jobs, "load_environment", lambda config: hand_made.environment())
 
 
 @pytest.mark.parametrize("words", ["--lr 0.5", "--batch-size 8", "--env.radius 0.3", "--num-epochs 4"])
@@ -161,13 +162,16 @@ def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
     plan = Plan([{}], [0, 1], 1)
     run_plan(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
 
-    def killed(*arguments):
+    def killed(folder):
+        """In the middle of what is deleted."""
+        delete(folder / "0-0")
+        (folder / "1-1" / configuration.NAME).unlink()
         raise KeyboardInterrupt
 
+    delete = jobs.shutil.rmtree
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(jobs.shutil, "rmtree", killed)
         run_plan(CONFIG, plan, tmp_path / "run", say=lambda words: None)
-    assert (tmp_path / "run" / PARTS / "1-1" / "policy").exists()
     run_plan(CONFIG, plan, tmp_path / "run", resume=True, say=lambda words: None)
     assert same_run(tmp_path / "run", tmp_path / "whole")
     assert {path.name for path in (tmp_path / "run").iterdir()} == {*FILES, "timing.json"}
@@ -258,12 +262,12 @@ def test_a_sweep_that_goes_on_counts_what_is_done(tmp_path, monkeypatch):
         (["--gpus", "2"], "gpus = 2"),
         (["--ray-address", "auto"], "ray_address = "),
         (["--engine", "ray", "--gpus", "2"], "gpus = 2"),
-        (["--sweep", "learning_rate=1e-4", "--distributed", "auto"], "num_processes"),
+        (["--sweep", "learning_rate=1e-4", "--num-processes", "2"], "num_processes = 2: goes with --distributed"),
+        (["--process", "1"], "process = 1: goes with --distributed"),
+        (["--distributed", "auto", "--process", "1"], "process = 1: auto finds it out"),
     ],
 )
 def test_what_cannot_be_run_leaves_nothing(words, named, tmp_path, capsys, monkeypatch):
-    if "--distributed" in words:
-        words, named = [*words[:2], "--num-processes", "2"], "num_processes"
     monkeypatch.chdir(tmp_path)
     assert main(["train", "object_search", "--out", "new", *words]) == 2
     assert named in capsys.readouterr().err and not (tmp_path / "new").exists()

@@ -20,7 +20,8 @@ from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import ADDED, Description, from_dict, to_dict
 from infogoal_jax.runs.tables import Timing
 
-ROWS = [{"seed": seed, "epoch": epoch, "loss": 0.5, "steps": [1, 2]} for epoch in (1, 2) for seed in (0, 1)]
+WATCHED = {"agent/loss": 0.5, "agent/gradient_norm": 0.1}
+ROWS = [{"seed": seed, "epoch": epoch, **WATCHED, "steps": [1]} for epoch in (1, 2) for seed in (0, 1)]
 TREE = {"weight": np.arange(4.0)}
 
 
@@ -88,15 +89,20 @@ def test_a_folder_or_a_pipe_in_a_file_s_place_is_named(name, run):
     [
         ('{"seed": "a", "epoch": 1, "loss": 0.5, "steps": [1]}', "line 3: .*seed = 'a': expected int, got str"),
         ('{"seed": 0, "loss": 0.5, "steps": [1]}', "line 3: .*epoch is missing"),
-        ('{"seed": 0, "epoch": 1, "loss": null, "steps": [1]}', "line 3: .*loss = None: should be a number"),
+        ('{"seed": 0, "epoch": 1, "loss": null, "steps": [1]}', "line 3: .*agent/loss = None: should be a number"),
+        ('{"seed": 0, "epoch": 1, "steps": [1]}', "line 3: .*agent/gradient_norm is missing"),
         ('{"seed": 0, "epoch": 1, "loss": 0.5, "steps": [1, "a"]}', "line 3: .*steps = "),
-        ('{"seed": 0, "epoch": 1, "loss": 0.5, "steps": [1], "x": 2}', "line 3: .*x is in this row or in the first"),
+        ('{"seed": 0, "epoch": 1, "loss": 0.5, "steps": [1], "x": 2}', "line 3: .*x is in this row and not in"),
+        ('{"seed": 0, "epoch": 1, "loss": 0.5}', "line 3: .*steps is missing"),
+        ('{"seed": 0, "epoch": 1, "loss": 0.5, "steps": [1, 2]}', r"line 3: .*steps = .*of the first row, \[1\]"),
+        ('{"seed": 0, "epoch": 1, "loss": 0.5, "steps": [[1], [1, 2]]}', "line 3: .*steps = .* a list of numbers"),
         ("junk", "line 3: .*not JSON"),
         ("", "line 3: .*not JSON"),
     ],
 )
 def test_a_foreign_line_of_a_table_is_named(line, message, run):
     lines = (run / "epochs.jsonl").read_text().splitlines()
+    line = line.replace('"loss"', '"agent/gradient_norm": 0.1, "agent/loss"')
     (run / "epochs.jsonl").write_text("\n".join([*lines[:2], line, *lines[2:]]) + "\n")
     with pytest.raises(UserError, match=message):
         tables.read_table(run, "epochs")

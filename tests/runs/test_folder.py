@@ -170,16 +170,21 @@ def test_a_run_is_loaded_with_its_data_elsewhere(tmp_path, monkeypatch):
     """As a packed one is on another machine; never with other data."""
     configuration.write(tmp_path, Description(hand_made.config(), [0], "rooms", {}, "cpu"))
 
-    def train(config):
+    def train(config, env=None):
         source = "rooms" if config.env.dataset == "moved" else "a street"
-        return SimpleNamespace(env=SimpleNamespace(source=source, recorded_checksum=""))
+        return SimpleNamespace(env=env or SimpleNamespace(source=source, recorded_checksum=""))
 
     monkeypatch.setattr(runs, "make_train", train)
     assert load_run(tmp_path, dataset="moved").config.env.dataset == "moved"
     with pytest.raises(UserError, match="dataset = 'a street': the run's data were rooms"):
         load_run(tmp_path, dataset="elsewhere")
-    with pytest.raises(UserError, match="split = 'x': is no place of the task's data. Known: dataset, text_embeddings"):
-        load_run(tmp_path, split="x")
+    with pytest.raises(UserError, match="room = 'x': is no place of the task's data. Known: dataset, .*, split"):
+        load_run(tmp_path, room="x")
+    # What lies in the place that config.json names is other data by now, or what is given in its place.
+    with pytest.raises(UserError, match="data = 'a street': the run's data were rooms"):
+        load_run(tmp_path).env  # noqa: B018
+    with pytest.raises(UserError, match="data = 'a lake': the run's data were rooms"):
+        load_run(tmp_path).train_in(SimpleNamespace(source="a lake", recorded_checksum=""))
 
 
 FILES = {

@@ -32,7 +32,7 @@ from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.report import figures, runs, summary
+from infogoal_jax.report import runs
 from infogoal_jax.runner import search as searching
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
@@ -147,8 +147,8 @@ def no_work(monkeypatch):
     def accept(*arguments, **named):
         raise WorkBegins
 
-    work = [(training, "run"), (searching, "tune"), (searching, "final"), (summary, "make_train")]
-    work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
+    work = [(training, "run"), (searching, "tune"), (searching, "final")]
+    work += [(runs, "make_train"), (cube, "build"), (shelf, "build")]
     work += [(goal_rendering, "build"), (backgrounds, "download_cifar10")]
     work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]
     work += [(command, "draw"), (numbers, "save")]
