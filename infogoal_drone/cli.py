@@ -67,6 +67,7 @@ def fly(
     object: str = "",
     embeddings: str = "",
     record: str = "",
+    origin: tuple[int, int] = (0, 0),
     out: str = "",
     drone: Flags = DroneFlags(),
 ) -> int:
@@ -79,6 +80,7 @@ def fly(
         embeddings: Sentence embeddings, an npz of `infogoal data embed`; empty: those of the policy, those that the
             project ships, or the sentence encoder.
         record: Folder to record the flight in for `infogoal data import`; empty: none.
+        origin: Column and row of the place where it hovers first, in steps of 20 cm, in the frame of all recordings.
         out: Folder of the log; empty: a new one under runs/.
         drone: The drone.
 
@@ -93,7 +95,7 @@ def fly(
     asked = read_question(exported, question, object, embeddings)
     print(f"question    {question}\nobject      {asked.object}\npolicy      {exported.about['method']}, {policy}")
     flown = flown_policy(exported, asked, drone.seed)._replace(file=new)
-    return depart(folder, flown, asked.object, drone, record, exported)
+    return depart(folder, flown, asked.object, drone, record, origin, exported)
 
 
 def record(
@@ -124,12 +126,11 @@ def record(
     require(sharp, "size", size, "give a height and a width from 8 to 1080 pixels, such as 48 64")
     log_folder = empty_folder(out, "out") if out else new_folder("recording")
     flown = Flown(Explorer(drone.seed), tuple(MOVES), size)
-    origin = drone.start if drone.simulate else origin
-    return depart(log_folder, flown, "", drone, folder, None, origin)
+    return depart(log_folder, flown, "", drone, folder, origin, None)
 
 
-def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported, origin=(0, 0)) -> int:
-    """Ask, fly and say how it ended."""
+def depart(folder, flown, target: str, drone: DroneFlags, record: str, origin: tuple[int, int], exported) -> int:
+    """Ask, fly and say how it ended. origin: where it hovers first; a simulated drone knows that by itself."""
     from infogoal_drone.envelope import Envelope
     from infogoal_drone.mission import Settings, run_mission
 
@@ -139,7 +140,7 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported,
 
     shelf_seed = exported.about["generator_seed"] if exported is not None else 0
     settings = Settings(**vars(drone), shelf_seed=shelf_seed)
-    outcome = run_mission(folder, flown, target, settings, record, origin, confirm)
+    outcome = run_mission(folder, flown, target, settings, record, drone.start if drone.simulate else origin, confirm)
     print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {typed(folder)}` draws it")
     if not outcome.landed:

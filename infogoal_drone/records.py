@@ -16,6 +16,7 @@ import numpy as np
 
 from infogoal_drone.envelope import STEP, Whereabouts
 from infogoal_drone.vision import Picture
+from infogoal_jax import files
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.files import append, open_to_read
 from infogoal_jax.runs.disk import Place, decode, parse_lines, read_bytes
@@ -166,7 +167,7 @@ def check_recordings(folder: Path, trajectory: str) -> None:
             f"holds {trajectory} already; give another folder, or let --out end in another name",
         )
         table = folder / TABLE
-        with io.TextIOWrapper(open_to_read(table), encoding="utf-8", errors="replace", newline="") as file:
+        with io.TextIOWrapper(open_to_read(table), encoding="utf-8-sig", errors="replace", newline="") as file:
             require(
                 next(csv.reader(file), list(COLUMNS)) == list(COLUMNS),
                 "record",
@@ -232,10 +233,19 @@ class Recorder:
         csv.DictWriter(text, COLUMNS).writerows(self.rows)
         header = f"{','.join(COLUMNS)}\r\n"
         try:
-            append(self.folder / TABLE, text.getvalue().encode(), header.encode())  # All rows, or none.
+            table = self.folder / TABLE
+            # All rows, or none.
+            append(table, end_of_last_line(table) + text.getvalue().encode(), header.encode())
         except OSError as error:
             raise cannot_write(self.folder, error.strerror) from error
         return len(self.rows) - 1
+
+
+def end_of_last_line(table: Path) -> bytes:
+    """What the last line of a table lacks, which an editor may leave without an end. Raises `OSError` if it cannot be
+    read."""
+    content = files.read_bytes(table) if table.exists() else b""
+    return b"" if not content or content.endswith(b"\n") else b"\r\n"
 
 
 class Explorer:

@@ -28,8 +28,9 @@ class Entry(NamedTuple):
     task, `AgentTraits` of an agent. None: not declared."""
     of_agent: Mapping[str, Any] = MappingProxyType({})
     """What a learner changes in the configuration of an agent that has such fields."""
-    of_relabelling: Mapping[str, Any] = MappingProxyType({})
-    """What an agent changes in the configuration of a relabelling that has such fields."""
+    of_relabelling: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] = MappingProxyType({})
+    """What an agent changes in the configuration of a relabelling that has such fields, or a function of the agent's
+    configuration that says it."""
     relabelling: str = ""
     """The relabelling of an agent that needs it, where no other is asked for; empty: the method's or the task's."""
     is_method: bool = True
@@ -75,7 +76,8 @@ class Registry(CheckedDict):
         if entry.traits is not None and not callable(entry.traits):
             raise UserError(f"{field}.traits = {shown(entry.traits)}: give a function of the configuration, or None")
         for name, fields in (("of_agent", entry.of_agent), ("of_relabelling", entry.of_relabelling)):
-            if not isinstance(fields, Mapping):
+            by_config = name == "of_relabelling" and callable(fields)
+            if not by_config and not isinstance(fields, Mapping):
                 raise UserError(f"{field}.{name} = {shown(fields)}: give fields by name")
         if not isinstance(entry.relabelling, str):
             raise UserError(f"{field}.relabelling = {shown(entry.relabelling)}: give the name of a relabelling")

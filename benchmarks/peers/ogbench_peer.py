@@ -447,8 +447,6 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
         known_goals="held_out" if words.held_out else "visited",
     )
     goals = {OF_GOALS[name]: value for name, value in flags.items() if name in OF_GOALS}
-    if job.agent == "qrl":  # Where states and goals are one space, a state's distance to itself is 0 by its form.
-        goals |= {"current_share": 0.0}
     floats = floats | {FLOATS[name]: value for name, value in flags.items() if name in FLOATS}
     config = dataclasses.replace(
         config,

@@ -24,7 +24,7 @@ registry = Registry(
             offline_crl.OF_RELABELLING,
             offline_crl.traits,
         ),
-        "qrl": offline.entry(qrl.QRLConfig, qrl.make, qrl.QRLHyperparameters, qrl.OF_RELABELLING),
+        "qrl": offline.entry(qrl.QRLConfig, qrl.make, qrl.QRLHyperparameters, qrl.of_relabelling),
         "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters, dqn.traits),
     },
 )

@@ -66,7 +66,7 @@ def entry(
     config: type,
     make: Callable,
     hyper: type,
-    of_relabelling: Mapping = MappingProxyType({}),
+    of_relabelling: Mapping | Callable = MappingProxyType({}),
     declared: Callable[[Any], AgentTraits] = traits,
 ) -> Entry:
     """What the registry of agents holds of an offline one."""

@@ -27,8 +27,6 @@ GROUP = 8
 """Intervals of an embedding whose union is measured together."""
 FAR, SPREAD = 500.0, 100.0
 """Distances beyond about this one are no longer driven apart, and over which range that sets in."""
-OF_RELABELLING = {"current_share": 0.2, "future_share": 0.0}
-"""Any goals, to be spread apart, and some that are achieved."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +44,12 @@ class QRLConfig(offline.OfflineConfig):
     def check(self, config) -> None:
         """Raise `UserError` for embeddings that cannot be cut into groups."""
         require(self.size % GROUP == 0, "agent.size", self.size, f"give a multiple of {GROUP} greater than 0")
+
+
+def of_relabelling(config: QRLConfig) -> dict[str, float]:
+    """Any goals, to be spread apart; and some that are achieved where goals are embedded by a network of their own.
+    Where states and goals are embedded alike, the way to the goal that is achieved is 0 by its form."""
+    return {"current_share": 0.0 if config.goals == "states" else 0.2, "future_share": 0.0}
 
 
 @flax.struct.dataclass

@@ -250,8 +250,9 @@ def goal_of(env: Environment, options: Any, num_envs: int = 0) -> np.ndarray:
     if not options:
         return np.broadcast_to(no_goals_like(np.zeros(space.shape, space.dtype)), (*axes, *space.shape))
     given = options["goal"]
-    listed = isinstance(given, list | tuple | np.ndarray) and len(given) > 0
-    several = bool(axes) and listed and (space.finite or isinstance(given[0], list | tuple | np.ndarray))
+    given = np.asarray(given) if isinstance(given, jax.Array) else given
+    listed = isinstance(given, list | tuple) or np.ndim(given) > 0
+    several = bool(axes) and listed and len(given) > 0 and (space.finite or np.ndim(given[0]) > 0)
     goal = np.asarray(space.checked(given, field, axes=int(several)))
     require(not several or len(goal) == num_envs, field, f"of shape {np.shape(goal)}", f"give one, or {num_envs}")
     if space.finite:

@@ -73,7 +73,7 @@ def episodes_of(dataset: Any) -> Episodes:
         )
         columns["observations"].append(seen)
         if moves:
-            columns["actions"].append(np.pad(actions.astype(np.int32) - first, (0, 1)))
+            columns["actions"].append(np.pad(actions.astype(np.int64) - first, (0, 1)))
         else:
             scaled = (actions - (low + high) / 2) / ((high - low) / 2)
             check_inside(scaled, actions, space)

@@ -31,6 +31,8 @@ class Archive:
     sizes: dict[str, int]
 
 
+MOST_PACKED = 2**36
+"""Bytes of an archive: what is written here may be as large as a machine's memory."""
 MOST_UNPACKED, MOST_RATIO = 2**30, 100
 """Bytes that an archive may unpack to however small it is, and times its own size beyond that."""
 MOST_MEMBERS, LONGEST_NAME = 2**16, 200
@@ -66,7 +68,7 @@ def read(path: str | os.PathLike, remedy: str, version: int | None = 1) -> Archi
     Raises `OSError` if it cannot be read, `UserError` if it is no npz, cut short, of another version, or larger than
     any that was meant to be read.
     """
-    content = files.read_bytes(path)  # From memory: numpy leaves a damaged file open.
+    content = files.read_bytes(path, MOST_PACKED)  # From memory: numpy leaves a damaged file open.
     require(
         zipfile.is_zipfile(io.BytesIO(content)),
         "format",

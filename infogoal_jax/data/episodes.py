@@ -3,7 +3,7 @@ episode after episode. `load` reads one, `check_episodes` says everything that i
 
     member             type and shape                      what it is
     observations       float32 [N, F], uint8 [N, H, W, C]  what was seen, each episode with its last observation
-    actions            float32 [N, A] or int32 [N]         taken there, from -1 to 1; of a last one not counted
+    actions            float32 [N, A] or int32 [N]         taken there, from -1 to 1; of a last one never
     terminals          [N], 0 or 1                         1 for the last observation of an episode
     achieved_goals     float32 [N, D], optional            the goal that was achieved, of a `GoalEnv`
     desired_goals      float32 [N, D], optional            the goal that was desired
@@ -28,6 +28,7 @@ REMEDY = "give an npz with observations, actions and terminals (docs/reference/d
 VECTORS = Member("float", ("rows", "numbers of an observation"))
 IMAGES = Member("uint8", ("rows", "rows of pixels", "columns of pixels", "channels"))
 MOVES = Member("integer", ("rows",))
+MOST_MOVES = 2**16
 GOAL = Member("number", ("rows", "numbers of a goal"), needed=False)
 SCHEMA = {
     "observations": VECTORS,
@@ -214,7 +215,8 @@ def remarks_on(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     for name, array in members.items():
         if array.dtype.itemsize > 4 and array.ndim == 2:
             error = np.abs(array - array.astype(np.float32)).max(0)
-            for column in np.flatnonzero(error > ROUNDED * array.std(0))[:1]:
+            varies = array.max(0) > array.min(0)
+            for column in np.flatnonzero(varies & (error > ROUNDED * array.std(0)))[:1]:
                 by = (
                     f"its column {column} by up to {error[column]:.3g}, where it varies by {array[:, column].std():.3g}"
                 )
@@ -240,8 +242,8 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     if lengths.get("channels", 0) > lengths.get("rows of pixels", 0):
         yield "observations", f"is {list(found['observations'].shape)}, more channels than rows; give [N, H, W, C]"
     taken = found.get("actions", np.zeros((0, 1)))
-    for row in np.flatnonzero(taken < 0)[:1] if moves else ():
-        yield f"actions[{row}]", f"is {taken[row]}; moves have numbers from 0 on"
+    for row in np.flatnonzero((taken < 0) | (taken >= MOST_MOVES))[:1] if moves else ():
+        yield f"actions[{row}]", f"is {taken[row]}; moves have numbers from 0 on, below {MOST_MOVES:,}"
     if moves and "action_bounds" in members:
         yield "action_bounds", "is of actions that are vectors, and these are moves; leave it out"
     beyond = np.zeros(0) if moves else (np.abs(taken) > 1 + WITHIN).any(1)
@@ -288,7 +290,8 @@ def faults_of_ends(members: Mapping[str, np.ndarray], found: Mapping[str, np.nda
         yield name, f"no episode has a step; mark the last of its observations alone by {end}"
     if {name, "observations", "next_observations"} <= found.keys():
         seen = found["observations"]
-        apart = (following[:-1] != seen[1:]).reshape(len(seen) - 1, -1).any(1) & (marks[:-1] != end)
+        differs = (following[:-1] != seen[1:]).any(axis=tuple(range(1, seen.ndim)))
+        apart = differs & (marks[:-1] != end)
         for row in np.flatnonzero(apart)[:1]:
             said = f"is not the observation that follows, in {apart.sum():,} rows"
             yield f"next_observations[{row}]", f"{said}; mark the ends of episodes in terminals"

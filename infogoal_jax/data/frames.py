@@ -24,6 +24,8 @@ from infogoal_jax.files import from_json
 # as long to write; all are read in 0.4 s or less. Of noisy frames level 1 leaves 124 MB, read in 1 s.
 DEFLATE_LEVEL = 1
 TEXTS = ("actions", "objects", "joint_names")
+SLIDES = "_m"
+"""How the name of a joint ends that slides, whose places are metres."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +39,7 @@ class FrameDataset:
     frame, action, next_frame, trajectory, time: int32 [M], of moves by trajectory and time.
     terminal: bool [M], the last move of its trajectory.
     rotation: float32 [K, 3, 3], orientation of the object; None where it is not known.
-    joints: float32 [K, J], radians (metres where the name ends in _m); None where they are not known.
+    joints: float32 [K, J], radians (metres of one that `SLIDES`); None where they are not known.
     position: float32 [K, 2 or 3], metres; None where it is not known.
     detected: bool [K, O], whether each object is seen; None where it is not known.
     joint_names: of the J joints.

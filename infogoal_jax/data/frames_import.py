@@ -322,7 +322,7 @@ def numbers(rows: list[Row], columns: Sequence[str], unit: str) -> np.ndarray:
 
 def joint_numbers(rows: list[Row], joints: Sequence[str]) -> np.ndarray:
     """The joints as the CSV has them, degrees or metres, float64 [rows, J]."""
-    units = ("metres" if joint.endswith("_m") else "degrees" for joint in joints)
+    units = ("metres" if joint.endswith(frames.SLIDES) else "degrees" for joint in joints)
     return np.concatenate([numbers(rows, [joint], unit) for joint, unit in zip(joints, units, strict=True)], 1)
 
 
@@ -332,7 +332,7 @@ def read_poses(rows: list[Row], columns: Sequence[str], joints: tuple[str, ...],
     fields = {}
     if joints:
         values = joint_numbers(rows, joints)
-        fields["joints"] = np.where([joint.endswith("_m") for joint in joints], values, np.radians(values))
+        fields["joints"] = np.where([joint.endswith(frames.SLIDES) for joint in joints], values, np.radians(values))
     if "x" in columns:
         fields["position"] = numbers(rows, [axis for axis in PLACE if axis in columns], "metres")
     quaternion = numbers(rows, QUATERNION if "qw" in columns else (), "parts of a quaternion")
@@ -442,7 +442,7 @@ def grid_moves(
             name,
             f"{table} has no column joint_{name}.{nearest(name, names)} It has {', '.join(names)}",
         )
-        require(not name.endswith("_m"), "wrap", name, "slides, in metres, and cannot go round")
+        require(not name.endswith(frames.SLIDES), "wrap", name, "slides, in metres, and cannot go round")
     places, turns = zip(
         *(
             grid_places(table, rows, joint, values[:, column], joint.removeprefix("joint_") in wrap)

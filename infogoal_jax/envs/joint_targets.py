@@ -117,7 +117,9 @@ def make(config: JointTargetsConfig) -> JointTargets:
 def from_data(joints: np.ndarray, next_node: np.ndarray, source: str, episode_length: int) -> JointTargets:
     """Make the task of joints [K, J] and the images int32 [K, A] that moves lead to."""
     steps = np.abs(wrapped(joints[next_node] - joints[:, None]))
-    precision = float(0.5 * steps[steps > 1e-4].min())
+    turns = steps[steps > 1e-4]
+    require(len(turns) > 0, "env.dataset", source, "no move turns a joint: give images of an arm that moves")
+    precision = float(0.5 * turns.min())
 
     def draw(key: jax.Array) -> jax.Array:
         """A target state [J] that some setting of the joints is at."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from infogoal_jax.angles import geodesic, on_circles, orientation_classes, quaternions, rotation_matrices, wrapped
 from infogoal_jax.data import backgrounds, frames, pictures
-from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
@@ -30,6 +30,8 @@ REACHED = np.deg2rad(10.0)
 FARTHEST_TEST = np.deg2rad(90.0)
 """Largest angle between a test pose and the nearest training pose, in radians [P]."""
 
+LUMINANCE = np.array([0.299, 0.587, 0.114])
+"""Of red, green and blue in a grey image (ITU-R BT.601), as image libraries have it."""
 WHOLE_TURN = 180.0
 """Degrees within which every angle lies."""
 OF_IMAGES = ("frames", "state", "rotation", "joints", "position", "detected")
@@ -49,8 +51,8 @@ class ObjectManipulationConfig:
     physical_limits: bool = False
     """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as in the paper."""
     joint_range: Annotated[float, Within("(0, 180]", "give degrees, more than 0 and at most 180")] = 180.0
-    """Largest angle of a joint, in degrees: images in which one is turned farther are left out. A smaller world is an
-    easier task."""
+    """Largest angle of a joint that turns, in degrees: images in which one is turned farther are left out. A smaller
+    world is an easier task."""
     goal_seed: Count = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
@@ -91,8 +93,7 @@ class Posed:
 
 @flax.struct.dataclass
 class ObjectManipulation(GraphWalk):
-    """The environment: a walk on a graph of photographs, which are held once, in `goals.inputs`; privileged, their
-    rotation matrices are, float32 [K, 9]."""
+    """The environment: a walk on a graph of photographs, which are held once, in `goals.inputs`."""
 
     joints: jax.Array
     """float32 [K, J] angles of each image, in radians."""
@@ -107,10 +108,7 @@ class ObjectManipulation(GraphWalk):
 
     has_target_states = True
 
-    @property
-    def goals_are_observations(self) -> bool:
-        """Whether both are images. Privileged, goals are without the joints."""
-        return self.goals.inputs.dtype == jnp.uint8
+    goals_are_observations = True
 
     @property
     def space(self) -> JointSpace:
@@ -135,16 +133,13 @@ class ObjectManipulation(GraphWalk):
         return observation.frame
 
     def draw(self, state: GraphState) -> jax.Array:
-        """The image of the pose, uint8 [H, W, 3]."""
-        return self.goals.inputs[state.node]
+        """The image of the pose, uint8 [H, W, 3]; grey in three equal colours."""
+        image = self.goals.inputs[state.node]
+        return jnp.broadcast_to(image, (*image.shape[:-1], 3))
 
     def render(self, observation: Posed) -> jax.Array:
-        """What the network sees: images uint8 [..., H, W, C]; privileged, rotation matrices, and cosines and sines of
-        the joints, float32 [..., 9 + 2 J]."""
-        seen = self.goals.inputs[observation.frame]
-        if self.goals_are_observations:
-            return seen
-        return jnp.concatenate([seen, on_circles(observation.joints)], axis=-1)
+        """What the network sees: images uint8 [..., H, W, C]."""
+        return self.goals.inputs[observation.frame]
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32
@@ -170,6 +165,20 @@ class ObjectManipulation(GraphWalk):
     def goals_of(self, record: jax.Array) -> jax.Array:
         """The orientation that the image shows, int32 [..., 1]."""
         return self.orientation[record][..., None]
+
+
+@flax.struct.dataclass
+class PrivilegedManipulation(ObjectManipulation):
+    """The environment without pictures: `goals.inputs` are rotation matrices, float32 [K, 9], and goals are without the
+    joints."""
+
+    goals_are_observations = False
+    draw = Environment.draw
+
+    def render(self, observation: Posed) -> jax.Array:
+        """What the network sees: the rotation matrix, and cosines and sines of the joints, float32 [..., 9 + 2 J]."""
+        seen = self.goals.inputs[observation.frame]
+        return jnp.concatenate([seen, on_circles(observation.joints)], axis=-1)
 
 
 def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int, int, int], seed: int) -> np.ndarray:
@@ -227,10 +236,12 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
 
 
 def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
-    """Images [B, H, W, 3] at the size of the dataset's frames."""
-    if images.shape[1:3] == data.frames.shape[1:3]:
-        return images
-    return np.stack([pictures.resized(image, *data.frames.shape[1:3]) for image in images])
+    """Images [B, H, W, 3] at the size of the dataset's frames, grey where these are."""
+    if images.shape[1:3] != data.frames.shape[1:3]:
+        images = np.stack([pictures.resized(image, *data.frames.shape[1:3]) for image in images])
+    if data.frames.shape[-1] == 1:
+        images = (images @ LUMINANCE).round().astype(np.uint8)[..., None]
+    return images
 
 
 def traits(config: ObjectManipulationConfig) -> Traits:
@@ -261,11 +272,13 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
 def turned_within(data: frames.FrameDataset, config: ObjectManipulationConfig) -> frames.FrameDataset:
     """The dataset without images in which a joint is turned beyond `joint_range`, and without moves to or from one.
     Raises `UserError` where joints are not known, or no image is left."""
-    given = config.joint_range
-    require(data.joints is not None, "env.joint_range", given, "env.dataset tells no joint angles: leave it at 180")
-    kept = (np.abs(wrapped(data.joints)) <= np.radians(given) + 1e-6).all(1)
+    given, turning = config.joint_range, [not name.endswith(frames.SLIDES) for name in data.joint_names]
+    known = data.joints is not None and any(turning)
+    require(known, "env.joint_range", given, "env.dataset tells no joint angles: leave it at 180")
+    angles = np.abs(wrapped(data.joints[:, turning]))
+    kept = (angles <= np.radians(given) + 1e-6).all(1)
     moved = kept[data.frame] & kept[data.next_frame]
-    nearest = np.degrees(np.abs(wrapped(data.joints)).max(1).min())
+    nearest = np.degrees(angles.max(1).min())
     require(moved.any(), "env.joint_range", given, f"leaves no move: give more than {nearest:.0f} degrees, at most 180")
     number = np.cumsum(kept, dtype=np.int32) - 1
     images, moves = (
@@ -325,7 +338,8 @@ def from_data(
     seen = "poses are seen in place of images" if behind is None else f"backgrounds: {behind.source}"
     kinds = () if behind is None else ("train", "test")
     behind_goals = {f"{kind}_backgrounds": jax.device_put(like_frames(getattr(behind, kind), data)) for kind in kinds}
-    return ObjectManipulation(
+    kind = PrivilegedManipulation if behind is None else ObjectManipulation
+    return kind(
         joints=jax.device_put(joints),
         quaternion=jax.device_put(quaternions(data.rotation)),
         orientation=jax.device_put(np.asarray(orientation, np.int32)),

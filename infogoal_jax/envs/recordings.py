@@ -22,9 +22,10 @@ from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, renamed, require
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.shapes import aligned
 
 MARGIN = 1e-3
-"""Of a goal that is reached at its very state alone, in its units."""
+"""How far the space of goals that are states goes beyond these, in their units."""
 AT_ONCE = 2**28
 """Bytes of observations whose goals are read at once. Before training nothing else lies on a device: recordings may be
 larger than its memory, which is said then."""
@@ -112,6 +113,11 @@ class RecordedTask(GoalTask):
 
     def achieved_in(self, observation: jax.Array) -> jax.Array:
         return observation
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether records [..., F] are the very states that goals [..., F] are, bool [...]."""
+        record, goal = aligned(record, goal)
+        return (record == goal).all(-1)
 
 
 def from_recordings(

@@ -199,11 +199,14 @@ def load(
     fields = {
         "learner": fields_of("learner", names, preset.learner) | of_learner,
         "agent": preset.agents.get(names["agent"], {}) | fields_of("agent", names, of_agent),
-        "relabelling": preset.relabellings.get(names["relabelling"], {})
-        | fields_of("relabelling", names, REGISTRIES["agent"].entry(names["agent"]).of_relabelling),
         "explorer": {},
     }
-    parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}
+    parts = {kind: part(REGISTRIES[kind], asked[kind], own) for kind, own in fields.items()}
+    of_relabelling = REGISTRIES["agent"].entry(names["agent"]).of_relabelling
+    if callable(of_relabelling):
+        of_relabelling = of_relabelling(parts["agent"])
+    own = preset.relabellings.get(names["relabelling"], {}) | fields_of("relabelling", names, of_relabelling)
+    parts["relabelling"] = part(REGISTRIES["relabelling"], asked["relabelling"], own)
     remedy = f"method {method} learns from all goals at once: give True, or the agent by its name"
     require(not named.all_goals or parts["agent"].all_goals, "agent.all_goals", False, remedy)
     hyper = default_hyperparameters(parts["learner"], parts["agent"])

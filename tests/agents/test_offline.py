@@ -17,6 +17,7 @@ from places import FIXTURES, recorded
 from infogoal_jax import UserError, agents, envs, make_train, presets
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
 from infogoal_jax.agents.hiql import of_length
+from infogoal_jax.agents.qrl import QRLConfig
 from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.learners.none import NoneConfig
 from infogoal_jax.loading import reasons_against
@@ -201,6 +202,16 @@ def test_only_costs_teach_it(name):
     assert type(config.relabelling).__name__ == "MixedConfig" and not reasons_against(config)
     against = reasons_against(presets.load("point_maze", "none", agent=name, relabelling="her"))
     assert {refusal.field for refusal in against} == {"relabelling"}
+
+
+def test_qrl_learns_from_achieved_goals_only_where_they_do_not_lie_at_their_states_by_form():
+    """As OGBench, which draws any goals alone."""
+    shares = {
+        task: presets.load(task, "none", agent="qrl").relabelling.current_share for task in ("point_maze", "ogbench")
+    }
+    assert shares == {"point_maze": 0.2, "ogbench": 0.0}
+    given = presets.load("ogbench", "none", agent=QRLConfig(goals="codes")).relabelling
+    assert (given.current_share, given.future_share) == (0.2, 0.0)
 
 
 def test_qrl_holds_a_state_at_its_goal_whatever_else_is_rewarded():

@@ -88,11 +88,14 @@ def test_goals_are_given_as_vectors_and_follow_the_seed(maze):
     assert np.allclose(seen["desired_goal"], [2.5, 0.5])
     first, again = (maze.reset(seed=3)[0] for _ in range(2))
     assert all(np.array_equal(first[name], again[name]) for name in first)
+    batch, each = TaskVector(maze.env, 2), [[2.5, 0.5], [0.5, 0.5]]
+    for given in (each, np.array(each), jnp.array(each)):
+        assert np.allclose(batch.reset(seed=0, options={"goal": given})[0]["desired_goal"], each)
     drawn = np.array([maze.reset()[0]["desired_goal"] for _ in range(30)])
     assert np.asarray(maze.env.goals.is_training_goal(drawn)).all() and len(np.unique(drawn)) > 30
 
 
-@pytest.mark.parametrize("goal", [3, "room", [9.0, 0.0], [0.5], [np.nan, 0.5], [[0.5, 0.5]], None])
+@pytest.mark.parametrize("goal", [3, "room", [9.0, 0.0], [0.5], [np.nan, 0.5], [[0.5, 0.5]], np.array(3), None])
 def test_what_is_no_goal_is_refused(goal, maze):
     with pytest.raises(UserError, match=r'options\["goal"\]'):
         maze.reset(options={"goal": goal})

@@ -100,6 +100,10 @@ FAULTS = {
     "complex": ({"actions": SEEN + 1j}, ["actions: is complex64; give float"]),
     "whole numbers of vectors": ({"actions": np.zeros((12, 1), np.int32)}, ["actions: is int32; give float"]),
     "moves below 0": ({"actions": -np.arange(12)}, ["actions[1]: is -1; moves have numbers from 0 on"]),
+    "moves beyond any": (
+        {"actions": np.arange(12) + 2**32},  # Which int32 would hold as 0 and on.
+        ["actions[0]: is 4294967296; moves have numbers from 0 on, below 65,536"],
+    ),
     "bounds of moves": (
         {"actions": np.arange(12), "action_bounds": np.array([[0.0], [1.0]])},
         ["action_bounds: is of actions that are vectors, and these are moves; leave it out"],
@@ -192,6 +196,18 @@ def test_what_may_not_be_meant_is_a_warning(changes, said, tmp_path):
     np.savez(tmp_path / "walks.npz", **recorded(**changes))
     (found,) = check_episodes(tmp_path / "walks.npz")
     assert found.severity == "warning" and said in f"{found.where}: {found.problem}"
+
+
+def test_what_does_not_vary_is_not_called_rounded(tmp_path):
+    """A column of one number has a spread of rounding alone."""
+    np.savez(tmp_path / "walks.npz", **recorded(observations=np.insert(SEEN.astype(np.float64), 0, 0.42, 1)))
+    assert check_episodes(tmp_path / "walks.npz") == []
+
+
+def test_one_transition_is_an_episode():
+    one = {"observations": SEEN[:1], "next_observations": SEEN[1:2], "actions": np.zeros((1, 1)), "terminals": [1]}
+    found = of_arrays(one)
+    assert found.lengths.tolist() == [1] and np.array_equal(found.observations, SEEN[:2])
 
 
 IN_MEMORY = {
@@ -412,6 +428,9 @@ def test_minari_s_moves_begin_at_0():
     one = SimpleNamespace(observations=numbers(3, 2), actions=np.array([3, 6, 4]))
     found = episodes_of(SimpleNamespace(action_space=space, iterate_episodes=lambda: [one]))
     assert found.moves and found.actions.tolist() == [0, 3, 1, 0] and found.action_bounds is None
+    one.actions = one.actions + 2**33
+    with pytest.raises(UserError, match=r"actions\[0\]: is 8589934592; moves have numbers"):
+        episodes_of(SimpleNamespace(action_space=space, iterate_episodes=lambda: [one]))
 
 
 @pytest.mark.parametrize(
@@ -582,6 +601,7 @@ def test_a_task_of_recordings_alone_has_states_as_goals():
     assert np.array_equal(rows.record, rows.observation) and rows.valid.sum() == episodes.lengths.sum()
     goal = jnp.asarray(SIDE[3])
     assert task.reached(goal, goal) and np.array_equal(task.goals.inputs_of(goal), goal)
+    assert not task.reached(jnp.nextafter(goal, jnp.inf), goal)  # In whatever units states are.
 
 
 def test_goals_are_drawn_from_recorded_places_alone():

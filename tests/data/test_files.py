@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hand_made_frames import OPTIONAL, changed, small
 
-from infogoal_jax import stopping
+from infogoal_jax import files, stopping
 from infogoal_jax.cli.data import print_size
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives, frames, frames_check
@@ -40,6 +40,15 @@ def test_an_archive_of_kilobytes_that_unpacks_to_far_more_is_refused_unread(tmp_
     archives.write(tmp_path / "bomb.npz", {"frames": np.zeros(10**7, np.uint8)}, zipfile.ZIP_DEFLATED)
     with pytest.raises(UserError, match="bytes that unpack to 10,000,"):
         frames.load(str(tmp_path / "bomb.npz"))
+
+
+def test_an_archive_may_be_larger_than_other_files(tmp_path, monkeypatch):
+    """As one of recorded images, which is written at any size."""
+    monkeypatch.setattr(files.read_bytes, "__defaults__", (100,))
+    archives.write(tmp_path / "ones.npz", {"frames": np.ones(1000, np.uint8)}, zipfile.ZIP_STORED)
+    assert archives.read(tmp_path / "ones.npz", "").sizes["frames"] >= 1000
+    with pytest.raises(OSError, match="more than 100 bytes"):
+        files.read_bytes(tmp_path / "ones.npz")
 
 
 def test_an_archive_that_packs_well_is_read(tmp_path):

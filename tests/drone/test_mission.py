@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -195,6 +196,32 @@ def test_two_flights_make_a_dataset(tmp_path):
     np.testing.assert_allclose(data.position[:3, :2], [[0, 0], [0.2, 0], [0.2, 0.2]], atol=1e-6)
     assert data.detected[:, 0].tolist() == [False, True, True, False, False]
     frames.next_state(data)
+
+
+def test_a_table_that_an_editor_saved_is_added_to(tmp_path):
+    """Without an end of its last line, and with a mark before its first."""
+    folder = tmp_path / "recordings"
+    record(folder, "monday", [("right", "made")])
+    table = folder / TABLE
+    table.write_bytes(b"\xef\xbb\xbf" + table.read_bytes().rstrip(b"\r\n"))
+    record(folder, "tuesday", [("left", "made")], origin=(2, 0))
+    assert len(imported(folder).frames) == 4
+
+
+@pytest.mark.parametrize(("words", "origin"), [((), (3, 1)), (("--simulate",), (17, 4))])
+def test_a_flight_is_recorded_from_where_it_begins(words, origin, tmp_path, monkeypatch, capsys):
+    """Places of all flights are in one frame: a drone in the air is told where it is, and a simulated one knows."""
+    begun = []
+
+    def run_mission(folder, flown, target, settings, record, origin, confirm):
+        begun.append(origin)
+        return types.SimpleNamespace(reason="", steps=0, landed=True, found=True)
+
+    monkeypatch.setattr(mission, "run_mission", run_mission)
+    policy, place = faults.write_policy(tmp_path / "policy.npz"), ("--origin", "3", "1", "--start", "17", "4")
+    for command in (["fly", str(policy), "--question", faults.QUESTION], ["record", str(tmp_path)]):
+        assert main([*command, "--out", str(tmp_path / command[0]), *place, *words]) == 0
+    assert begun == [origin, origin]
 
 
 def test_refused_moves_are_left_out(tmp_path):

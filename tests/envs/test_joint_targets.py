@@ -10,6 +10,7 @@ from infogoal_jax.angles import wrapped
 from infogoal_jax.envs import joint_targets
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.graph import frame_edges
+from infogoal_jax.errors import UserError
 from infogoal_jax.train.evaluation import evaluate
 
 STEP = 2 * np.pi / hand_made_frames.STEPS
@@ -28,6 +29,12 @@ def nearest_move(observation, goal, key):
     joint = jnp.abs(turn).argmax(-1)
     back = jnp.take_along_axis(turn, joint[:, None], 1)[:, 0] < 0
     return (2 * joint + back).astype(jnp.int32)
+
+
+def test_an_arm_that_never_moves_has_no_target_states():
+    still = np.zeros((4, 2), np.float32)
+    with pytest.raises(UserError, match="env.dataset = 'photographs': no move turns a joint"):
+        joint_targets.from_data(still, np.zeros((4, 2), np.int32), "photographs", 20)
 
 
 def test_target_states_of_joints_are_an_ordinary_task(env):

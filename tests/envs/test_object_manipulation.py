@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from infogoal_jax import make_train, presets
 from infogoal_jax.angles import geodesic, wrapped
+from infogoal_jax.data import pictures
 from infogoal_jax.envs import object_manipulation
+from infogoal_jax.envs.environment import draws_itself
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, from_data
 from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
@@ -52,6 +54,9 @@ def test_a_smaller_range_leaves_images_whose_joints_lie_within_it_and_the_moves_
     np.testing.assert_allclose(turn.sum(1), np.pi / 3, atol=1e-5)
     env = from_data(cut, hand_made_frames.backgrounds(), config)
     assert len(env.quaternion) == 27 and "joints within 60 degrees" in env.source
+    # The place of a joint that slides is no angle.
+    sliding = dataclasses.replace(data, joint_names=(*data.joint_names[:2], "rail_m"))
+    assert len(object_manipulation.turned_within(sliding, config).frames) == 9 * hand_made_frames.STEPS
     with pytest.raises(UserError, match="env.joint_range = 10.0: leaves no move: give more than 0 degrees"):
         object_manipulation.turned_within(data, dataclasses.replace(config, joint_range=10.0))
     with pytest.raises(UserError, match="env.joint_range = 60.0: env.dataset tells no joint angles"):
@@ -86,6 +91,26 @@ def test_a_privileged_agent_sees_poses(env, data):
     assert traits_seen(env) == object_manipulation.traits(dataclasses.replace(config, privileged=False))
     with pytest.raises(UserError, match="env.backgrounds = 'cifar10': goals are not images with env.privileged"):
         presets.load("object_manipulation", "her", env=ObjectManipulationConfig(privileged=True, backgrounds="cifar10"))
+
+
+def test_what_is_drawn_is_the_photograph_and_of_poses_alone_nothing(env, data):
+    state = jax.tree.map(lambda leaf: leaf[0], jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 1)))
+    np.testing.assert_array_equal(env.draw(state), data.frames[state.node])
+    assert draws_itself(env) and not draws_itself(hand_made_frames.manipulation(privileged=True))
+
+
+def test_grey_photographs_have_grey_backgrounds(data):
+    """They are drawn in three equal colours, as everything is."""
+    grey = dataclasses.replace(data, frames=data.frames[..., :1])
+    behind, config = hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(2, 1, 2))
+    env = from_data(grey, behind, config)
+    assert env.train_backgrounds.shape[1:] == grey.frames.shape[1:] and env.train_backgrounds.dtype == jnp.uint8
+    size = data.frames.shape[1:3]
+    shown = np.stack([pictures.resized(image, *size) for image in behind.train])
+    expected = shown @ [0.299, 0.587, 0.114]
+    np.testing.assert_allclose(env.train_backgrounds[..., 0], expected, atol=0.5 + 1e-6)
+    picture = env.draw(env.reset(jax.random.key(0)))
+    assert picture.shape == (*size, 3) and (picture == picture[..., :1]).all()
 
 
 @pytest.mark.long
