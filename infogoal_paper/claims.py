@@ -2,9 +2,10 @@
 
 An effect is a mean over tasks, their goal sets and seeds of differences that are paired by goal set and seed. Its 95 %
 interval is that over seeds or that over goal sets, as in the table, whichever is wider. A claim holds where the whole
-interval lies on its side, fails where it lies on the other, and else cannot be told. A claim about Table I is looked at
-under both readings of the paper, and is decided where they agree. Nothing can be told of one that rests on fewer than
-three seeds, or on a row of which the table says that it does not count.
+interval lies on its side, fails where it lies on the other, and else cannot be told. One that says several things at
+once holds where all of them do, and fails where one does. A claim about Table I is looked at under both readings of the
+paper, and is decided where they agree. Nothing can be told of one that rests on fewer than three seeds, or on a row
+that is missing, or of which the table says that it does not count.
 
 First what a finding is, and the tests of Table I: success, and how long paths are. Then those of the figures: SSE-DB on
 the first goal set of object search (Fig. 8), what beta converges to and fixed ones beside it (Figures 13 to 15), and
@@ -92,9 +93,9 @@ def finding(
     return Finding(over_tasks(values), f"{words}; {over}", above, faults_of(*rows) + few, decimals)
 
 
-def lacking_rows(found: Finding) -> Finding:
-    """The finding, of whose rows some did not run."""
-    return dataclasses.replace(found, faults=(*found.faults, "rows are missing"))
+def lacking(found: Finding, *missing: str) -> Finding:
+    """The finding, for which something did not run."""
+    return dataclasses.replace(found, faults=(*found.faults, *missing))
 
 
 def faults_of(*rows: Row | None) -> tuple[str, ...]:
@@ -182,7 +183,7 @@ def pair_words(one: str, two: str, task: str) -> str:
 
 
 DEPENDS = "depends on the reading"
-"""The verdict on a claim that the two readings decide differently."""
+"""The verdict on a claim that the two readings decide, and not alike."""
 COMPARABLE = 0.05
 """By how much success may be lower where the paper says that it is comparable, or close to; and the share by which a
 path may be shorter where it says that paths are not shortened."""
@@ -204,7 +205,10 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
         if "infogoal" not in rows or len(rows) < 2:
             return Finding(None, "no runs")
         found = []
-        for method in (method for method in rows if method != "infogoal"):
+        for method in (method for method in METHODS if method != "infogoal"):
+            if method not in rows:
+                found.append(Finding(None, f"{METHODS[method]} not run"))
+                continue
             both = shared(*(of_row(rows[each], success(kind)) for each in ("infogoal", method)))
             if not both[0]:
                 found.append(Finding(None, f"InfoGoal and {METHODS[method]}: no goal set that both ran on"))
@@ -212,20 +216,22 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
             means = [mean_number(own) for own in both]
             words = f"InfoGoal {means[0]:.2f}, {METHODS[method]} {means[1]:.2f}"
             found.append(finding({task: difference(*both)}, words, [*rows.values()]))
-        return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
+        return weakest(found)
 
     return find
 
 
 def weakest(found: Sequence[Finding]) -> Finding:
-    """Of findings that must all hold, the one that decides: which surely does not, or is not known, or is least certain
-    to hold."""
+    """Of findings that must all hold, the one that decides: which surely does not, or else is least certain to hold. It
+    then decides nothing while others are not known."""
     known = [each for each in found if each.effect is not None]
+    if not known:
+        return found[0]
     failing = [each for each in known if each.effect.high < each.above]
     if failing:
         return min(failing, key=lambda each: each.effect.high)
-    unknown = [each for each in found if each.effect is None]
-    return unknown[0] if unknown else min(known, key=lambda each: np.nan_to_num(each.effect.low, nan=-np.inf))
+    least = min(known, key=lambda each: np.nan_to_num(each.effect.low, nan=-np.inf))
+    return lacking(least, *(each.words for each in found if each.effect is None))
 
 
 def compare(
@@ -235,12 +241,12 @@ def compare(
     claim about several methods is one about each: the weakest decides."""
 
     def of_pair(results: Results, reading: str, one: str, two: str) -> Finding:
-        differences, left_out = {}, []
+        differences, left_out, missing = {}, [], []
         for task in tasks:
             rows = [row_of(results, reading, task, method) for method in (one, two)]
-            if not all(row is not None and row.mean(kind) and row.mean(other or kind) for row in rows):
-                continue
-            if faults_of(*rows):
+            if None in rows:
+                missing.append(f"no runs on {TITLES[task]}")
+            elif faults_of(*rows) or not all(row.mean(kind) and row.mean(other or kind) for row in rows):
                 left_out.append(TITLES[task])
             elif difference := paired(*rows, kind, other):
                 differences[task] = difference
@@ -248,7 +254,7 @@ def compare(
         without = left_out_words(left_out)
         if not differences:
             return Finding(None, f"{names}: no runs that count{without}")
-        return finding(differences, f"{names}, {by_task(differences)}{without}", above=above)
+        return lacking(finding(differences, f"{names}, {by_task(differences)}{without}", above=above), *missing)
 
     def find(results: Results, reading: str = "paper") -> Finding:
         decisive = weakest([of_pair(results, reading, *pair) for pair in pairs])
@@ -421,7 +427,7 @@ def fixed_against_adaptive(results: Results) -> Finding:
     words = f"adaptive {ours:.2f}, best fixed beta {best:g} {fixed_best:.2f}"
     every = [*adaptive.values(), *(row for rows in settings.values() for row in rows.values())]
     found = finding(gains, words, every, above=-COMPARABLE)
-    return found if len(settings) == len(FIXED_BETAS) else lacking_rows(found)
+    return found if len(settings) == len(FIXED_BETAS) else lacking(found, "rows are missing")
 
 
 def beta_gain(better: float, worse: float) -> Callable[[Results], Finding]:
@@ -478,10 +484,11 @@ def grouped(view: int = 0) -> Callable[[Results], Finding]:
     """The silhouette of InfoGoal's codes by region minus that of the bare agent's, in a view of the goals."""
 
     def find(results: Results) -> Finding:
-        tasks, left_out, counted = {}, [], []
+        tasks, left_out, counted, missing = {}, [], [], []
         for task in PICTURED:
             rows = [row_of(results, "paper", task, method) for method in ("infogoal", "none")]
             if None in rows:
+                missing.append(f"no runs on {TITLES[task]}")
                 continue
             own = difference(*(of_row(row, closeness(view)) for row in rows))
             if own and faults_of(*rows):
@@ -492,7 +499,7 @@ def grouped(view: int = 0) -> Callable[[Results], Finding]:
         without = left_out_words(left_out)
         if not tasks:
             return Finding(None, f"no runs that count{without}")
-        return finding(tasks, f"silhouette by region, {by_task(tasks)}{without}", counted)
+        return lacking(finding(tasks, f"silhouette by region, {by_task(tasks)}{without}", counted), *missing)
 
     return find
 
@@ -500,9 +507,10 @@ def grouped(view: int = 0) -> Callable[[Results], Finding]:
 def reward_near_goal(results: Results) -> Finding:
     """Minus the rank correlation of the intrinsic reward with the distance to where the goal is in view, mean over
     training goals."""
-    tasks, left_out = {}, []
+    tasks, left_out, missing = {}, [], []
     for task in ("object_search", "embodied_qa"):
         row = row_of(results, "paper", task, "infogoal")
+        missing += [f"no runs on {TITLES[task]}"] if row is None else []
         own = of_row(row, reward_near) if row is not None else {}
         if own and faults_of(row):
             left_out.append(f"InfoGoal on {TITLES[task]}")
@@ -512,7 +520,7 @@ def reward_near_goal(results: Results) -> Finding:
     if not tasks:
         return Finding(None, f"no runs that count{without}")
     words = f"minus Spearman's correlation with the distance, {by_task(tasks)}{without}"
-    return finding(tasks, words)
+    return lacking(finding(tasks, words), *missing)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -721,10 +729,11 @@ class Judged(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The verdict of both readings where they agree, or where there is one; else that they do not."""
+        """The verdict of both readings where they agree, or where there is one; else that they do not agree, or that
+        one of them decides nothing."""
         if self.text is None or self.text.verdict == self.paper.verdict:
             return self.paper.verdict
-        return DEPENDS
+        return "cannot be told" if "cannot be told" in (self.paper.verdict, self.text.verdict) else DEPENDS
 
 
 def verdicts(results: Results) -> list[Judged]:

@@ -161,7 +161,7 @@ def verdict_rows(found: list) -> list[list[str]]:
     for judged in found:
         claim, paper, text = judged.claim, judged.paper, judged.text
         effects, details = [paper.shown, "" if text is None else text.shown], paper.details
-        if judged.verdict == claims.DEPENDS:
+        if text is not None and text.verdict != paper.verdict:
             effects = [f"{each.verdict}: {each.shown}" for each in (paper, text)]
         if text is not None and text.details != paper.details:
             details += f". As the text: {text.details}"

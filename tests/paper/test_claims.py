@@ -6,7 +6,7 @@ import made_up_results
 import numpy as np
 import pytest
 
-from infogoal_paper import claims, measure, numbers
+from infogoal_paper import claims, drawing, measure, numbers
 from infogoal_paper.manifest import FIXED_BETAS, fixed
 from infogoal_paper.scores import Bounds, row_of
 
@@ -241,6 +241,33 @@ def test_a_claim_is_decided_where_both_readings_of_the_paper_agree(results):
     found = judged(worse, "first-test-Reach")
     assert (found.paper.verdict, found.text.verdict, found.verdict) == ("holds", "fails", claims.DEPENDS)
     assert judged(worse, "first-test-PickAndPlace").verdict == "holds"
+
+
+def test_a_claim_that_one_reading_leaves_open_does_not_depend_on_the_reading(results):
+    """It is decided under one of them alone."""
+    relabelled = {"method": "infogoal", "task": "fetch_reach", "relabelling": "her"}
+    found = judged(changed(results, rises, **relabelled), "first-test-Reach")
+    assert (found.paper.verdict, found.text.verdict) == ("holds", "cannot be told")
+    assert found.verdict == "cannot be told"
+    (row,) = drawing.verdict_rows([found])
+    assert row[2].startswith("holds: ") and row[3].startswith("cannot be told: ")
+
+
+@pytest.mark.parametrize(
+    "name", ["relabelling-helps", "relabelling-overfits", "relabelling-below-infogoal", "gcb-helps", "codes-grouped"]
+)
+def test_a_mean_over_tasks_is_not_told_of_some_of_them(results, name):
+    without = {run: result for run, result in results.items() if run.task != "object_manipulation"}
+    found = finding(without, name)
+    assert found.verdict == "cannot be told" and "no runs on ObjMani" in found.faults
+
+
+def test_a_row_that_is_missing_cannot_save_a_first_place(results):
+    without = {run: result for run, result in results.items() if run.method != "gcb"}
+    found = finding(without, "first-test-Reach")
+    assert found.verdict == "cannot be told" and "GCB not run" in found.faults
+    worse = changed(without, lambda result: made_up(result, 0.3), method="infogoal", task="fetch_reach")
+    assert finding(worse, "first-test-Reach").verdict == "fails"
 
 
 def test_the_text_has_the_rows_with_her_of_three_learners_and_the_other_rows_as_they_are(results):
