@@ -231,10 +231,12 @@ def parts_of(needed: tuple, most: int) -> list[list]:
 
 
 def fitting(config: TrainConfig, env: Any, count: int) -> int:
-    """How many members of `count` fit into the device's memory side by side. Raises `UserError` for none."""
-    train = make_train(config, env)
+    """How many members of `count` fit into the device's memory side by side, a batch alone. Raises `UserError` for
+    none."""
+    train, room = make_train(config, env), memory.device_memory(jax.devices()[0])
     sizes = memory.state_bytes(train), memory.working_bytes(train), memory.bytes_of(env)
-    return memory.seeds_at_once(*sizes, count, memory.device_memory(jax.devices()[0]))
+    fits = (number for number in range(count, 1, -1) if memory.fit_at_once(*sizes, number, room))
+    return next(fits, 0) or memory.seeds_at_once(*sizes, 1, room)
 
 
 def stacked(envs: Sequence[Any]) -> tuple[list[jax.Array], list[int | None]]:

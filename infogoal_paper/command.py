@@ -11,8 +11,9 @@ from infogoal_jax.runner.executors import check_flags, run_in_processes, run_on_
 from infogoal_jax.runs import disk
 from infogoal_paper import numbers, progress
 from infogoal_paper.cli import Flags
-from infogoal_paper.manifest import BESIDE, STUDIES, Choice, Run, runs_of
+from infogoal_paper.manifest import BESIDE, SETS, STUDIES, Choice, Run, runs_of
 from infogoal_paper.numbers import Results
+from infogoal_paper.paper import TASKS
 from infogoal_paper.plan import config_of, fetch_sets, programs_of
 from infogoal_paper.work import Work, work_on
 
@@ -48,8 +49,13 @@ class Asked(Flags):
 
     def runs(self) -> list[Run]:
         """The runs that are needed. Raises `UserError` where there are none."""
-        runs = runs_of(self.studies, self.choice(), fetch_sets(self.goal_images))
-        require(bool(runs), self.name, "", "these tasks, methods, variants and sets have no run in it; name others")
+        choice, images = self.choice(), fetch_sets(self.goal_images)
+        all_sets = {number for task in self.tasks or TASKS for number in SETS.get(task, images)}
+        for number in self.sets or ():
+            require(number in all_sets, "sets", number, f"there are {', '.join(map(str, sorted(all_sets)))}")
+        runs = runs_of(self.studies, choice, images)
+        given = next((name for name in ("tasks", "methods", "variants", "sets") if getattr(self, name)), "name")
+        require(bool(runs), given, getattr(self, given), f"{self.name} has no such run; name others")
         if self.known is None:
             return runs
         known = self.known_results

@@ -236,6 +236,8 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
     for pair in pairs:
         first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
         last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
+        if not last:  # One was stopped before an evaluation of the other.
+            continue
         shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
         cells = [difference_in_words(*pair), f"{int(last[-1]):,}"]
         for kind in kinds:

@@ -128,9 +128,10 @@ def search(
     task: str, method: str, trials: int, seeds: int, folder: Path, clean: bool = False, goal_images: Path | None = None
 ) -> Path:
     """One search by the command line, into FOLDER/TASK/METHOD, a clean one into FOLDER/clean/TASK/METHOD. One that was
-    stopped stays as it is: delete its folder to search again. Returns its folder."""
+    stopped goes on. Returns its folder."""
     out = folder / CLEAN / task / method if clean else folder / task / method
-    if (out / "best.json").exists():
+    if out.exists():
+        go_on("tune", out)
         return out
     command = ["tune", task, "--method", method, "--out", str(out), *data_of(task, folder, clean, goal_images)]
     command += ["--trials", str(trials), "--seeds", str(seeds)]
@@ -148,12 +149,25 @@ def search(
 
 
 def final(search: Path) -> None:
-    """The final of the search in this folder, into its folder `final`. One that was stopped stays as it is: delete its
-    folder to run it again."""
+    """The final of the search in this folder, into its folder `final`. One that was stopped goes on."""
     out = search / "final"
-    if not (out / "best.json").exists():
+    if out.exists():
+        go_on("final", out)
+    else:
         command = ["final", str(search), "--out", str(out)]
         subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+
+
+def go_on(command: str, folder: Path) -> None:
+    """Go on with the search or the final in this folder, unless it is finished."""
+    if not is_finished(folder):
+        subprocess.run([sys.executable, "-m", "infogoal_jax", command, "--resume", str(folder)], check=True)
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a search or a final came to its end: what it has found so far is written after every evaluation."""
+    best = folder / "best.json"
+    return best.exists() and json.loads(best.read_text())["finished"]
 
 
 def read_search(folder: Path, name: str) -> Search:
@@ -180,7 +194,8 @@ def load(path: Path) -> dict[str, Search]:
 
 def merge(folder: Path, path: Path) -> list[str]:
     """Put the finished searches of a folder into the file, in place of what it holds of them. Returns their names."""
-    names = {str(found.parent.relative_to(folder)): found.parent for found in sorted(folder.rglob("best.json"))}
+    ended = [found.parent for found in sorted(folder.rglob("best.json")) if is_finished(found.parent)]
+    names = {str(found.relative_to(folder)): found for found in ended}
     new = {name: read_search(found, name) for name, found in names.items()}
     searches = (load(path) if path.exists() else {}) | new
     lines = "".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches))

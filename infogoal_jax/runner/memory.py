@@ -95,6 +95,12 @@ def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seed
     return seeds_at_once(state, extra, held, count // mesh.size, memory, mesh.size, name)
 
 
+def fit_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int) -> bool:
+    """Whether so many seeds run beside each other, as `seeds_at_once` takes them."""
+    running = WORKING_COPIES * state_bytes + extra_bytes
+    return num_seeds * (state_bytes + running) + env_bytes <= MEMORY_FRACTION * memory
+
+
 def seeds_at_once(
     state_bytes: int,
     extra_bytes: int,
@@ -113,9 +119,9 @@ def seeds_at_once(
     devices and name: how many there are, and of the number of seeds, for the message.
     Raises `UserError` if not even their states fit and one of them.
     """
-    room, running = MEMORY_FRACTION * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
-    if num_seeds * (state_bytes + running) <= room:
+    if fit_at_once(state_bytes, extra_bytes, env_bytes, num_seeds, memory):
         return num_seeds
+    room, running = MEMORY_FRACTION * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
     fitting = int((room - num_seeds * state_bytes) // (state_bytes + running))
     alone = int(state_bytes + running <= room)
     most = devices * max(alone, int((room - state_bytes - running) // state_bytes))

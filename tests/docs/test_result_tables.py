@@ -60,7 +60,7 @@ def write_search(folder: Path, best: float) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     about = {"config": {"num_epochs": 20}, "seeds": [1000, 1001], "data": "made up", "device": "a device"}
     (folder / "config.json").write_text(json.dumps(about))
-    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation"}))
+    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation", "finished": True}))
     trials = [
         {
             "trial": number,
@@ -88,6 +88,36 @@ def test_a_search_that_is_run_again_replaces_what_was_kept(tmp_path):
     before = path.read_bytes()
     tuning.merge(tmp_path / "second", path)
     assert path.read_bytes() == before
+
+
+def test_a_search_that_was_stopped_is_not_kept_and_goes_on(tmp_path, monkeypatch):
+    """What it has found so far lies there as of a finished one."""
+    path, folder = tmp_path / tuning.NUMBERS.name, tmp_path / "fetch_reach" / "vae"
+    write_search(folder, 0.4)
+    tuning.merge(tmp_path, path)
+    write_search(folder, 0.8)
+    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation", "finished": False}))
+    kept = path.read_bytes()
+    assert tuning.merge(tmp_path, path) == [] and path.read_bytes() == kept
+    begun = []
+    monkeypatch.setattr(tuning.subprocess, "run", lambda command, check: begun.append(command[3:]))
+    tuning.search("fetch_reach", "vae", 16, 2, tmp_path)
+    write_search(folder / "final", 0.4)
+    tuning.final(folder)
+    tuning.search("fetch_reach", "her", 16, 2, tmp_path)
+    assert begun[0] == ["tune", "--resume", str(folder)] and begun[1][:4] == ["tune", "fetch_reach", "--method", "her"]
+
+
+def test_trials_that_share_no_evaluation_have_no_difference(tmp_path):
+    """One was stopped before an evaluation of the other."""
+    write_trial(tmp_path / "trials", "cube_her", 0.1)
+    write_trial(tmp_path / "trials", "another", 0.2)
+    other = tmp_path / "trials" / "another.csv"
+    other.write_text(other.read_text().replace("000,", "001,"))
+    rows = [row for path in sorted((tmp_path / "trials").iterdir()) for row in trial_numbers.read(path)]
+    pairs = [(("cube_her", "preset"), ("another", "preset")), (("cube_her", "preset"), ("cube_her", "preset"))]
+    shown = trial_numbers.differences(rows, pairs)
+    assert "another" not in shown and "0.00" in shown
 
 
 def test_the_fields_that_are_asked_for_are_those_that_were_searched():

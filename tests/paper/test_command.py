@@ -57,6 +57,28 @@ def test_without_time_to_draw_it_says_so(tmp_path, capsys):
     assert "no time was left to draw" in capsys.readouterr().out and not (tmp_path / "index.html").exists()
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"sets": (0, 7)}, "sets = 7: there are 0"),
+        ({"name": "fig8", "tasks": ("embodied_qa",)}, "tasks = .*embodied_qa.*: fig8 has no such run; name others"),
+    ],
+)
+def test_what_no_run_has_is_named(given, said, tmp_path):
+    with pytest.raises(UserError, match=said):
+        dataclasses.replace(asked(tmp_path), **given).runs()
+
+
+def test_runs_are_merged_beside_the_numbers_of_their_folder(tmp_path):
+    """Of earlier merges; files of other kinds beside them are none of these."""
+    first, second = asked(tmp_path).runs()[:2]
+    fill(tmp_path / "out" / "runs", [first])
+    numbers.save(numbers.of_folder(tmp_path / "out" / "runs"), tmp_path / "out")
+    fill(tmp_path / "out" / "runs", [second])
+    np.savez(tmp_path / "out" / "goals.npz", images=np.zeros(3))
+    assert set(numbers.merged({}, [tmp_path / "out"])) == {first, second}
+
+
 @pytest.mark.parametrize("first", [True, False])
 def test_toy_runs_and_real_ones_do_not_mix(first, tmp_path):
     """In the folder of the runs, among the known numbers, and where numbers are merged or drawn."""
