@@ -732,7 +732,7 @@ def public_functions() -> set[str]:
     found |= {f"envs.{name}": getattr(envs, name) for name in vars(envs) if name == "load" or name.startswith("from_")}
     for path in re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / "reference" / "api.md").read_text(), re.M):
         module, _, name = path.rpartition(".")
-        if module != "infogoal_jax.presets":
+        if module not in ("infogoal_jax.presets", "infogoal_jax.envs"):
             found[name] = getattr(importlib.import_module(module), name)
     return {name for name, value in found.items() if inspect.isfunction(value) and inspect.signature(value).parameters}
 

@@ -74,7 +74,7 @@ def compare(
     style: str = "",
     labels: Words = (),
 ) -> int:
-    """Draw several runs of one task in one figure: their success, or any metrics.
+    """Draw several runs of one task in one figure: their success, or any metrics; and print their success.
 
     Args:
         runs: Folders of the runs, in the order in which they are named in the figure.
@@ -86,9 +86,11 @@ def compare(
         labels: What the legend calls each run, in their order; empty: its method, and its folder where two are alike.
     """
     from infogoal_jax.report.comparison_figures import draw_comparison
+    from infogoal_jax.report.sweeps import print_comparison
 
     folders = [Path(run) for run in runs]
     draw(lambda: [draw_comparison(folders, Path(out), None, metrics, captions, style, labels)])
+    print_comparison(folders, labels)
     return 0
 
 

@@ -201,7 +201,7 @@ def check_goals(env: Environment) -> None:
         if env.recorded is not None:
             recorded = np.asarray(env.recorded.desired_goal)[np.asarray(env.recorded.valid)]
             check_desired(env.goals, recorded, "env.recorded.desired_goal", "give recordings for training goals")
-        names = ("env.observation", "env.begin") if isinstance(env, GoalTask) else ("env.observe",)
+        names = ("env.begin", "env.observation", "env.begin") if isinstance(env, GoalTask) else ("env.observe",)
         for name, those in zip(names, finite, strict=True):
             share = 1 - np.asarray(those).mean()
             require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
@@ -241,9 +241,15 @@ def check_desired(goals: GoalSpace, desired: Any, field: str, remedy: str) -> No
 
 def started(env: Environment, state: Any) -> tuple[jax.Array, jax.Array, list[jax.Array]]:
     """The desired goal of an episode that begins, the cell of what it achieves then, and whether what is seen of it is
-    finite, and its world."""
+    finite; of a `GoalTask` before that its world alone, and behind it all that has to be."""
     seen, cell = jnp.isfinite(env.render(env.observe(state))).all(), env.cell_of(env.achieved(state))
-    return state.desired_goal, cell, [seen, env.is_finite(state.world)] if isinstance(env, GoalTask) else [seen]
+    if not isinstance(env, GoalTask):
+        return state.desired_goal, cell, [seen]
+    numbers = [leaf for leaf in jax.tree.leaves(state.world) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    # Numbers of a simulator may be infinite by design.
+    simulator = type(env).is_finite is not GoalTask.is_finite
+    world = jnp.stack([jnp.asarray(True), *(jnp.isfinite(leaf).all() for leaf in ([] if simulator else numbers))]).all()
+    return state.desired_goal, cell, [world, seen, env.is_finite(state.world)]
 
 
 def rounded(goals: np.ndarray) -> list:

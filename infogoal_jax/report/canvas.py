@@ -119,7 +119,7 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
         f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items()
     )
     below = (f"{seeds}{left_out}", f"data: {subject.run.data}")
-    return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
+    return empty_figure(f"{config.task.replace('_', ' ')}, {presets.method_title(config)}: {title}", below, size)
 
 
 def curves_in_words(counts: Sequence[int]) -> str:

@@ -162,7 +162,7 @@ def check_same_task(runs: list[Run]) -> None:
 def titles_of(runs: list[Run]) -> list[str]:
     """The names of the runs' methods; where two are of the same, with the end of the path of the folder or the file
     that tells them apart, or with the name of a shipped policy."""
-    names = [presets.name_of(run.config) for run in runs]
+    names = [presets.method_title(run.config) for run in runs]
     places = [(run.name,) if run.name.startswith(PREFIX) else Path(os.path.abspath(run.name)).parts for run in runs]
     titles = []
     for name, place in zip(names, places, strict=True):

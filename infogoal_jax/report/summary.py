@@ -70,8 +70,8 @@ def remarks_on(epochs: RunTable, evaluations: RunTable) -> list[str]:
     rates = [rate for name, rate in {**values, **evaluations.values}.items() if name.endswith("/success_rate")]
     if "collect/success_rate" in values and not any(rate.any() for rate in rates):
         found.append(
-            "no episode of training reached its goal: more steps may be needed, or `reached` is never true of a goal "
-            "that is desired"
+            "no episode of training reached its goal: more steps may be needed, or nothing that is achieved is within "
+            "the radius of a desired goal"
         )
     nothing = values["collect/nothing_achieved"].mean() if values.keys() >= CONTINUOUS else 0
     if nothing:
@@ -120,13 +120,17 @@ def score_cells(score: Callable[[str], np.ndarray | None]) -> list[str]:
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
-    [seeds]} with the names of `evaluation.Setting`."""
-    rows = [
-        (goals_title, code, *score_cells(lambda column, kind=goals + suffix: scores.get(f"{kind}/{column}")))
-        for goals, goals_title in GOALS.items()
-        for suffix, code in CODES.items()
-        if f"{goals}{suffix}/success_rate" in scores
-    ]
+    [seeds]} with the names of `evaluation.Setting`. A code without noise has one row."""
+    rows = []
+    for goals, goals_title in GOALS.items():
+        cells = {
+            code: score_cells(lambda column, kind=goals + suffix: scores.get(f"{kind}/{column}"))
+            for suffix, code in CODES.items()
+            if f"{goals}{suffix}/success_rate" in scores
+        }
+        if len(cells) > 1 and len(set(map(tuple, cells.values()))) == 1:
+            cells = {"": next(iter(cells.values()))}
+        rows += [(goals_title, code, *found) for code, found in cells.items()]
     return number_table(("goals", "code", *TITLES), rows, words=2)
 
 

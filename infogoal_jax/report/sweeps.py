@@ -9,9 +9,9 @@ from rich.console import Console
 from infogoal_jax import checks
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.report.comparison_figures import draw_comparison
+from infogoal_jax.report.comparison_figures import draw_comparison, titles_of
 from infogoal_jax.report.figures import draw_figures
-from infogoal_jax.report.runs import diverged_seeds, table_of
+from infogoal_jax.report.runs import diverged_seeds, load_run, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import number_table, print_run, seeds_in_words
 from infogoal_jax.runner.executors import Outcome, run_here
@@ -97,17 +97,30 @@ def print_sweep(folder: Path, plan: Plan) -> None:
     if plan.settings == [{}]:
         print_run(folder)
         return
-    console, result = Console(), SweepResult(folder, plan)
-    names = list(plan.settings[0])
-    rows, epochs, counts = [], [], []
-    for run, setting in zip(result.folders.values(), plan.in_words(), strict=True):
+    result, names = SweepResult(folder, plan), list(plan.settings[0])
+    settings = [[setting[name] for name in names] for setting in plan.in_words()]
+    print_success(list(result.folders.values()), names, settings)
+    say(Console(), f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
+
+
+def print_comparison(runs: Sequence[str | Path], labels: Sequence[str] = ()) -> None:
+    """Print success at the last evaluation of each run, as `print_sweep` does. labels: their names, in this order;
+    none: those of `comparison_figures.titles_of`."""
+    loaded = [load_run(run) for run in runs]
+    print_success([run.folder for run in loaded], ["run"], [[title] for title in labels or titles_of(loaded)])
+
+
+def print_success(runs: Sequence[Path], names: Sequence[str], cells: Sequence[Sequence[str]]) -> None:
+    """Print success at the last evaluation of each of these runs, behind cells of its own, whose titles are names."""
+    console, rows, epochs, counts = Console(), [], [], []
+    for run, own in zip(runs, cells, strict=True):
         diverged = diverged_seeds(run)
         table = table_of(run, "evaluations", diverged)
         scores = [
             mean_interval(table.values[name][:, -1]).show(2) if name in table.values and len(table.seeds) else ""
             for name in SHOWN
         ]
-        rows.append([*(setting[name] for name in names), *scores, str(len(diverged) or "")])
+        rows.append([*own, *scores, str(len(diverged) or "")])
         counts += [len(table.seeds)] * any(scores)
         epochs.append(str(table.epochs[-1]) if len(table.epochs) else "")
     titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
@@ -116,7 +129,6 @@ def print_sweep(folder: Path, plan: Plan) -> None:
     console.print(number_table(titles, rows), crop=False)
     if counts:
         say(console, f"success at the last evaluation: {seeds_in_words(*counts)}")
-    say(console, f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
 
 
 def draw_sweep(folder: Path, plan: Plan) -> list[Path]:

@@ -112,6 +112,10 @@ WRONG = {
         dict(observation=lambda self, place: jnp.log(place - 1.0)),
         "env.observation = 'not finite at .*% of the starts': return finite numbers",
     ),
+    "a world that begins as NaN": (
+        dict(begin=lambda self, key: jnp.full(2, jnp.nan)),  # It is seen, too.
+        "env.begin = 'not finite at 100% of the starts': return finite numbers",
+    ),
     "a world that begins at infinity": (
         dict(begin=lambda self, key: jnp.full(2, jnp.inf), observation=lambda self, place: jnp.zeros(2)),
         "env.begin = 'not finite at 100% of the starts': return finite numbers",
