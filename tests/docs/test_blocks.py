@@ -40,6 +40,7 @@ SMALLER = (
     ("--num-epochs 10", "--num-epochs 1"),
     ("--num-epochs 2 --epochs-per-evaluation 2 --updates-per-epoch 1000", "--num-epochs 1"),
     ("--num-epochs 20 ", "--num-epochs 1 "),
+    ("num_epochs=20, epochs_per_evaluation=5", "num_epochs=1"),
     ("num_epochs=20", "num_epochs=1"),
     ("object_search --seeds 16", "object_search --seeds 2"),
     ("fetch_push --seeds 5", "fetch_push --seeds 1"),
