@@ -3,7 +3,7 @@ episode after episode. `load` reads one, `check_episodes` says everything that i
 
     member             type and shape                      what it is
     observations       float32 [N, F], uint8 [N, H, W, C]  what was seen, each episode with its last observation
-    actions            float32 [N, A] or int32 [N]         taken there, from -1 to 1; of a last one never
+    actions            float32 [N, A] or int32 [N]         taken there, from -1 to 1, of a last one too
     terminals          [N], 0 or 1                         1 for the last observation of an episode
     achieved_goals     float32 [N, D], optional            the goal that was achieved, of a `GoalEnv`
     desired_goals      float32 [N, D], optional            the goal that was desired
