@@ -143,6 +143,8 @@ def from_gymnasium(
     require(episode_length or limit, "episode_length", None, "the environment has no time limit; give one")
     own = getattr(first.env.unwrapped, "distance_threshold", None)
     own_threshold = float(own) if isinstance(own, Real) else 0.0
+    if own is None:
+        first.check_reward(threshold, "radius", "give the environment's own, or more")
     first.radius = max(float(threshold), own_threshold)  # What ends the environment's episodes for its own goal.
     said(first.name, first.check_put_back)
     batch = Batch(first, made, read, write, simulators or min(os.cpu_count() or 1, MOST_SIMULATORS))
@@ -260,17 +262,23 @@ class Simulator:
         reward = getattr(self.env.unwrapped, "compute_reward", None)
         if radius is not None:
             checks.number(radius, "distance_threshold", 0.0, adapters.WIDEST)
-        if radius is None or reward is None:
-            return radius
+        if radius is not None and reward is not None:
+            self.check_reward(radius, "distance_threshold", "give radius")
+        return radius
+
+    def check_reward(self, radius: float, field: str, remedy: str) -> None:
+        """Raise `UserError`, naming the field, where `compute_reward` takes goals beyond this distance for reached."""
+        reward = getattr(self.env.unwrapped, "compute_reward", None)
+        if reward is None:
+            return
         goal = np.asarray(self.env.reset(seed=0)[0]["desired_goal"], np.float64)
         ways = np.concatenate([np.eye(len(goal)), -np.eye(len(goal))])
         goals = np.broadcast_to(goal, ways.shape)
         there, beyond = (
             np.asarray(said("compute_reward", reward, goals + far * radius * ways, goals, {})) for far in (0, 1.1)
         )
-        remedy = "compute_reward takes goals that are farther away for reached; give radius"
-        require((there != beyond).all(), "distance_threshold", radius, remedy)
-        return radius
+        farther = f"compute_reward takes goals that are farther away for reached; {remedy}"
+        require((there != beyond).all(), field, radius, farther)
 
     def find_state(self) -> None:
         """Find what is carried: the buffers of MuJoCo, and the numbers among the attributes of each layer; of wrappers

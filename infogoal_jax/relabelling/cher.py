@@ -56,10 +56,15 @@ class Table:
     """float32 [], lambda before the first update of the epoch."""
 
 
+MOST_GROWTH = 60.0
+"""Of the logarithm of lambda: by then proximity alone chooses, and float32 holds it."""
+
+
 def proximity_weight(config: CHERConfig, updates: jax.Array) -> jax.Array:
     """lambda_t = lambda_0 (1 + eta)^t after t updates."""
-    # A power of 1.0001 in float32 would drift.
-    return config.proximity_weight * jnp.exp(jnp.asarray(updates, jnp.float32) * math.log1p(config.proximity_growth))
+    # A power of 1.0001 in float32 would drift, and one that is infinite leaves no choice.
+    growth = jnp.asarray(updates, jnp.float32) * math.log1p(config.proximity_growth)
+    return config.proximity_weight * jnp.exp(jnp.minimum(growth, MOST_GROWTH))
 
 
 def squared_distances(positions: jax.Array) -> jax.Array:
@@ -206,4 +211,4 @@ def make(config: CHERConfig) -> Relabelling:
     def relabel(key, table, row, step, desired_goal):
         return proposing.relabel(key, table.proposals, row, step, desired_goal)
 
-    return Relabelling(prepare, relabel, choose, CANDIDATES)
+    return Relabelling(prepare, relabel, choose, CANDIDATES, skip_reached=config.skip_reached)

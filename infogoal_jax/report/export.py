@@ -266,7 +266,7 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
 
     arguments = [next(count) for _ in closed.jaxpr.invars]
     outputs = walk(closed.jaxpr, closed.consts, arguments)
-    used = sorted({place for _, given, _, _ in steps for place in given} & set(fixed))
+    used = sorted({*outputs, *(place for _, given, _, _ in steps for place in given)} & set(fixed))
     order = [*used, *arguments, *(place for _, _, results, _ in steps for place in results)]
     places = {place: index for index, place in enumerate(order)}
     kinds = [[list(one.shape), str(np.dtype(one.dtype))] for one in examples]

@@ -349,6 +349,10 @@ class Nowhere(Mass):
     distance_threshold = None
 
 
+class Untold(Nowhere, Farther):
+    """Whose rewards alone tell how near a goal has to be."""
+
+
 IMAGE = spaces.Box(0, 255, (8, 8, 3), np.uint8)
 
 
@@ -366,6 +370,7 @@ IMAGE = spaces.Box(0, 255, (8, 8, 3), np.uint8)
         (lambda: Lost("desired_goal"), {}, r"desired_goal of Lost = \[nan, nan\]: is not finite after a reset"),
         (Nowhere, {}, "radius = None: the environment has no distance_threshold"),
         (Farther, {}, "distance_threshold = 0.3: compute_reward takes goals that are farther away"),
+        (Untold, {"radius": 0.1}, "radius = 0.1: compute_reward takes goals that are farther away .*own, or more"),
         (Mass, {"episode_length": None}, "episode_length = None: the environment has no time limit"),
         (Mass, {"read": read_hidden}, "write = None: give both read and write"),
         (Mass, {"read": lambda env: "x", "write": write_hidden}, "the state of read"),

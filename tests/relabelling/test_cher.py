@@ -61,6 +61,16 @@ def test_weight_of_proximity_grows_as_in_the_public_code():
     assert np.all(np.diff(weights) > 0)
 
 
+def test_weight_of_proximity_stays_a_number_however_long_it_grows():
+    """An infinite one times a distance of 0 is NaN, which no choice is made by."""
+    weights = [float(cher.proximity_weight(cher.CHERConfig(), jnp.asarray(updates))) for updates in (800_000, 10**7)]
+    assert np.isfinite(weights).all() and weights[0] < weights[1] * 10 and min(weights) > 1e20
+
+
+def test_goals_that_were_reached_already_can_be_left_out():
+    assert [cher.make(cher.CHERConfig(skip_reached=skip)).skip_reached for skip in (False, True)] == [False, True]
+
+
 def test_weights_among_equal_goals():
     """Where all goals are equal the mean distance is 0: similarities are 1, not undefined, and one candidate stands for
     all."""

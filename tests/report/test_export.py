@@ -192,6 +192,7 @@ OF_WHOLE_NUMBERS = {
     "sums of whole numbers": (lambda x: x.sum(), WHOLE),
     "products of bytes": (lambda x: jnp.dot(x, x, preferred_element_type=jnp.int32), BYTES),
     "powers": (lambda x, y: x**y, FLOATS, WHOLE),
+    "what depends on no argument": (lambda x: (x + 1, jnp.arange(3.0)), FLOATS),
 }
 
 

@@ -86,7 +86,8 @@ class Seen:
 
 @dataclasses.dataclass(frozen=True)
 class InOctant:
-    """Whether a goal of a task lies ahead, to the left and above the middle of all goals: there it is held out."""
+    """Whether a goal of a task lies ahead, to the left and above the middle of all goals: there it is held out. middle:
+    in m, -inf along an axis on which goals do not vary, as the height of those on the table."""
 
     middle: tuple[float, ...]
 
@@ -324,6 +325,7 @@ def with_positions(robot: Fetch, held_out: str) -> Fetch:
     if held_out == "octant":
         with jax.ensure_compile_time_eval():
             drawn = np.asarray(jax.jit(jax.vmap(sampler))(jax.random.split(from_seed(0), 512)))
-        use_of = InOctant(tuple(((drawn.min(0) + drawn.max(0)) / 2).tolist()))
+        low, high = drawn.min(0), drawn.max(0)
+        use_of = InOctant(tuple(np.where(high > low, (low + high) / 2, -np.inf).tolist()))
     goals = GoalBox.of(*robot.workspace, sampler=sampler, use_of=use_of, seen=Seen(robot.task))
     return robot.replace(goals=goals)

@@ -129,8 +129,8 @@ class FetchConfig:
     """What a goal is: a position (m), as in the reference, or an image of the object or gripper there, out of a finite
     set, as in the paper."""
     held_out: Literal["nothing", "octant"] = "nothing"
-    """Positions that are never desired in training: `octant`: those ahead, to the left and above the middle of all, an
-    eighth; test goals lie there."""
+    """Positions that are never desired in training: `octant`: those ahead, to the left and above the middle of all, a
+    quarter of Push's and Slide's, which have one height; test goals lie there."""
     goal_images: str = ""
     """File of goal images, of `infogoal reproduce goal-images`; empty: the one that the project ships for the task."""
     backgrounds: str = ""
@@ -139,13 +139,10 @@ class FetchConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(
-            self.goals == "positions" or config is None or config.known_goals != "train",
-            "known_goals",
-            "train",
-            "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited, "
-            "held_out or all",
-        )
+        known = "visited" if self.goals == "positions" or config is None else config.known_goals
+        grid = "what is achieved is a goal of the grid"
+        for name, why in (("train", "never one of training"), ("held_out", "some of which lie beside test goals")):
+            require(known != name, "known_goals", known, f"{grid}, {why}: give visited or all")
         require(
             self.ends_at_goal or self.goals == "positions",
             "env.ends_at_goal",
@@ -158,6 +155,10 @@ class FetchConfig:
             self.held_out,
             "goal images have validation and test goals of their own: give nothing, or goals = positions",
         )
+        for name in ("goal_images", "backgrounds"):
+            given = getattr(self, name)
+            positions = "goals are positions: leave it out, or give --env.goals images"
+            require(not given or self.goals == "images", f"env.{name}", given, positions)
 
 
 @dataclasses.dataclass(frozen=True)

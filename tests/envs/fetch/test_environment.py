@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import envs
+from infogoal_jax import envs, presets
 from infogoal_jax.envs.fetch.environment import euler_angles
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
@@ -134,6 +134,29 @@ def test_euler_angles():
     np.testing.assert_allclose(euler_angles(about_x), [0.3, 0, 0], atol=1e-6)
     np.testing.assert_allclose(euler_angles(about_z), [0, 0, 0.3], atol=1e-6)
     np.testing.assert_allclose(euler_angles(about_x @ about_z), [0.3, 0, 0.3], atol=1e-6)
+
+
+@pytest.mark.parametrize(("task", "share"), [("fetch_reach", 1 / 8), ("fetch_push", 1 / 4), ("fetch_slide", 1 / 4)])
+def test_an_octant_is_held_out_of_the_axes_on_which_goals_vary(task, share):
+    """On the table all have one height, above whose middle none lies."""
+    goals = envs.load(task, FetchConfig(held_out="octant")).goals
+    drawn = jax.jit(jax.vmap(goals.sampler))(jax.random.split(jax.random.key(1), 4000))
+    held_out = ~np.asarray(jax.jit(goals.is_training_goal)(drawn))
+    assert held_out.mean() == pytest.approx(share, abs=0.03) and goals.groups == ("train", "test")
+
+
+@pytest.mark.parametrize(
+    ("fields", "known", "said"),
+    [
+        ({"goal_images": "mine.npz"}, "visited", "env.goal_images = 'mine.npz': goals are positions"),
+        ({"backgrounds": "cifar10"}, "visited", "env.backgrounds = 'cifar10': goals are positions"),
+        ({"goals": "images"}, "held_out", "known_goals = 'held_out': .* beside test goals"),
+        ({"goals": "images"}, "train", "known_goals = 'train': .* never one of training"),
+    ],
+)
+def test_what_goals_of_one_kind_do_not_have_is_refused(fields, known, said):
+    with pytest.raises(UserError, match=said):
+        presets.load("fetch_reach", "none", env=FetchConfig(**fields), known_goals=known)
 
 
 def test_goals_outside_of_the_goal_space_are_refused(reach):
