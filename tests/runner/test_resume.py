@@ -68,12 +68,12 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
     rows = [
         {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
     ]
-    tables.append_rows(tmp_path, "epochs", rows)
-    with open(tmp_path / "epochs.jsonl", "a") as file:
+    tables.append_rows(tmp_path, "evaluations", rows)
+    with open(tmp_path / "evaluations.jsonl", "a") as file:
         file.write('{"seed": 0, "epo')  # The line that the kill cut short.
-    tables.replace_table(tmp_path, "epochs", tables.rows_until(tmp_path, "epochs", [0, 1], [1, 2]))
-    assert tables.read_table(tmp_path, "epochs") == rows[:4]
-    assert (tmp_path / "epochs.csv").read_text().splitlines() == [
+    tables.replace_table(tmp_path, "evaluations", tables.rows_until(tmp_path, "evaluations", [0, 1], [1, 2]))
+    assert tables.read_table(tmp_path, "evaluations") == rows[:4]
+    assert (tmp_path / "evaluations.csv").read_text().splitlines() == [
         "seed,epoch,x",
         "0,1,0.1",
         "1,1,0.1",
