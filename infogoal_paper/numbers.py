@@ -178,11 +178,12 @@ def merged(before: Results, folders: list[Path]) -> Results:
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
-        new, runs = load(folder, "folders") if has_numbers(folder) else {}, folder / "runs"
-        if runs.is_dir() or not new:
-            own = of_folder(runs if runs.is_dir() else folder)
-            new |= {run: result for run, result in own.items() if run not in new or is_superseded(new[run], result)}
-        require(bool(new), "folders", str(folder), "holds no finished run")
-        newer = {run: result for run, result in new.items() if run not in found or is_superseded(found[run], result)}
-        found = of_one_size(found | newer, "folders", str(folder))
+        runs = folder / "runs"
+        parts = [load(folder, "folders")] if has_numbers(folder) else []
+        if runs.is_dir() or not parts:
+            parts.append(of_folder(runs if runs.is_dir() else folder))
+        require(any(parts), "folders", str(folder), "holds no finished run")
+        for new in parts:
+            newer = {run: one for run, one in new.items() if run not in found or is_superseded(found[run], one)}
+            found = of_one_size(found | newer, "folders", str(folder))
     return found

@@ -144,7 +144,7 @@ def search(
         command += ["--relabelling", "her"]
     if clean:
         command += ["--hyper.test-epsilon", str(CLEAN_NOISE), "--space-seed", str(CLEAN_SPACE)]
-    subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+    infogoal(*command)
     return out
 
 
@@ -154,14 +154,18 @@ def final(search: Path) -> None:
     if out.exists():
         go_on("final", out)
     else:
-        command = ["final", str(search), "--out", str(out)]
-        subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+        infogoal("final", str(search), "--out", str(out))
 
 
 def go_on(command: str, folder: Path) -> None:
     """Go on with the search or the final in this folder, unless it is finished."""
     if not is_finished(folder):
-        subprocess.run([sys.executable, "-m", "infogoal_jax", command, "--resume", str(folder)], check=True)
+        infogoal(command, "--resume", str(folder))
+
+
+def infogoal(*words: str) -> None:
+    """Run a command. Raises `CalledProcessError` where it fails."""
+    subprocess.run([sys.executable, "-m", "infogoal_jax", *words], check=True)
 
 
 def is_finished(folder: Path) -> bool:

@@ -28,7 +28,6 @@ REMEDY = "give an npz with observations, actions and terminals (docs/reference/d
 VECTORS = Member("float", ("rows", "numbers of an observation"))
 IMAGES = Member("uint8", ("rows", "rows of pixels", "columns of pixels", "channels"))
 MOVES = Member("integer", ("rows",))
-MOST_MOVES = 2**16
 GOAL = Member("number", ("rows", "numbers of a goal"), needed=False)
 SCHEMA = {
     "observations": VECTORS,
@@ -43,6 +42,8 @@ SCHEMA = {
 GOALS = ("achieved_goals", "desired_goals")
 OTHERS = ("qpos", "qvel", "button_states", "rewards", "masks", "tasks")
 """Members of OGBench's files that nothing here needs."""
+MOST_MOVES = 2**16
+"""Moves that a task may have; larger numbers are none, and int32 would hold some as others."""
 WITHIN = 1e-5
 """How far beyond 1 an action may lie."""
 ROUNDED = 1e-3

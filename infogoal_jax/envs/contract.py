@@ -11,7 +11,7 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.checks import Spec
 from infogoal_jax.envs.environment import Environment, draws_itself
-from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.envs.goal_task import GoalTask, all_finite
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.field_types import LARGEST_FLOAT, LARGEST_WHOLE
 from infogoal_jax.goals import GoalBox, GoalSet, GoalSpace
@@ -245,10 +245,8 @@ def started(env: Environment, state: Any) -> tuple[jax.Array, jax.Array, list[ja
     seen, cell = jnp.isfinite(env.render(env.observe(state))).all(), env.cell_of(env.achieved(state))
     if not isinstance(env, GoalTask):
         return state.desired_goal, cell, [seen]
-    numbers = [leaf for leaf in jax.tree.leaves(state.world) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     # Numbers of a simulator may be infinite by design.
-    simulator = type(env).is_finite is not GoalTask.is_finite
-    world = jnp.stack([jnp.asarray(True), *(jnp.isfinite(leaf).all() for leaf in ([] if simulator else numbers))]).all()
+    world = all_finite(state.world) if type(env).is_finite is GoalTask.is_finite else jnp.asarray(True)
     return state.desired_goal, cell, [world, seen, env.is_finite(state.world)]
 
 

@@ -66,6 +66,12 @@ class Episode:
     """bool, the last step led to numbers that are not finite, and was taken back."""
 
 
+def all_finite(numbers: Any) -> jax.Array:
+    """Whether all floats of a pytree are finite, bool []; of one without any, too."""
+    floats = [leaf for leaf in jax.tree.leaves(numbers) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    return jnp.stack([jnp.asarray(True), *(jnp.isfinite(leaf).all() for leaf in floats)]).all()
+
+
 @flax.struct.dataclass
 class GoalTask(Environment):
     """A task whose goals are vectors, reached within a radius. Derive from it, give `action_size`, and write the four
@@ -132,10 +138,7 @@ class GoalTask(Environment):
     def is_finite(self, world: Any) -> jax.Array:
         """Whether all numbers of a world and of what is seen of it are finite, bool; the goal that it achieves may be
         NaN, which is none."""
-        numbers = jax.tree.leaves((world, self.observation(world)))
-        floats = [leaf for leaf in numbers if jnp.issubdtype(leaf.dtype, jnp.floating)]
-        finite = [jnp.isfinite(leaf).all() for leaf in floats]
-        return jnp.stack([*finite, ~jnp.isinf(self.achieved_goal(world)).any()]).all()
+        return all_finite((world, self.observation(world))) & ~jnp.isinf(self.achieved_goal(world)).any()
 
     def reset(self, key: jax.Array) -> Episode:
         """A new episode for a training goal."""

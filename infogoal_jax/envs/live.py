@@ -259,10 +259,8 @@ class Simulator:
         """The environment's distance below which a goal is reached, if it has one. Raises `UserError` where
         `compute_reward` takes goals well beyond it for reached."""
         radius = getattr(self.env.unwrapped, "distance_threshold", None)
-        reward = getattr(self.env.unwrapped, "compute_reward", None)
         if radius is not None:
             checks.number(radius, "distance_threshold", 0.0, adapters.WIDEST)
-        if radius is not None and reward is not None:
             self.check_reward(radius, "distance_threshold", "give radius")
         return radius
 

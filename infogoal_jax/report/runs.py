@@ -11,7 +11,7 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.envs.environment import data_of, has_image_goals
-from infogoal_jax.errors import require
+from infogoal_jax.errors import renamed, require
 from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner.compilation import jit
@@ -37,11 +37,11 @@ class Run(Description):
         that the configuration names are others by now."""
         return self.train_in()
 
-    def train_in(self, env: Any = None, named: str = "data") -> Train:
-        """As `train`, in this environment; None: in its own. named: the field by which other data are refused."""
+    def train_in(self, env: Any = None) -> Train:
+        """As `train`, in this environment; None: in its own."""
         train = make_train(self.config, env)
         found = data_of(train.env)
-        require(found == self.data, named, found, f"the run's data were {self.data}")
+        require(found == self.data, "data", found, f"the run's data were {self.data}")
         return train
 
     @property
@@ -101,7 +101,8 @@ def load_run(folder: str | Path, **moved: str) -> Run:
             require(name in known, name, moved[name], f"is no place of the task's data. Known: {', '.join(known)}")
         config = dataclasses.replace(run.config, env=dataclasses.replace(run.config.env, **moved))
         run = dataclasses.replace(run, config=config)
-        vars(run)["train"] = run.train_in(named=next(iter(moved)))  # What the property would make again.
+        with renamed(data=next(iter(moved))):
+            run.env  # noqa: B018 (looked at, so that other data are refused)
     return run
 
 

@@ -99,7 +99,7 @@ def print_sweep(folder: Path, plan: Plan) -> None:
         return
     result, names = SweepResult(folder, plan), list(plan.settings[0])
     settings = [[setting[name] for name in names] for setting in plan.in_words()]
-    print_success(list(result.folders.values()), names, settings)
+    print_last_evaluations(list(result.folders.values()), names, settings)
     say(Console(), f"{folder}/SETTING, each a run for evaluate, report and compare", "runs")
 
 
@@ -107,10 +107,10 @@ def print_comparison(runs: Sequence[str | Path], labels: Sequence[str] = ()) -> 
     """Print success at the last evaluation of each run, as `print_sweep` does. labels: their names, in this order;
     none: those of `comparison_figures.titles_of`."""
     loaded = [load_run(run) for run in runs]
-    print_success([run.folder for run in loaded], ["run"], [[title] for title in labels or titles_of(loaded)])
+    print_last_evaluations([run.folder for run in loaded], ["run"], [[title] for title in labels or titles_of(loaded)])
 
 
-def print_success(runs: Sequence[Path], names: Sequence[str], cells: Sequence[Sequence[str]]) -> None:
+def print_last_evaluations(runs: Sequence[Path], names: Sequence[str], cells: Sequence[Sequence[str]]) -> None:
     """Print success at the last evaluation of each of these runs, behind cells of its own, whose titles are names."""
     console, rows, epochs, counts = Console(), [], [], []
     for run, own in zip(runs, cells, strict=True):

@@ -53,9 +53,8 @@ def check_flags(engine: str, processes: int, gpus: int, ray_address: str) -> Non
     by_ray = engine == "ray"
     require(0 <= processes <= 1000, "processes", processes, "give 0 to 1000")
     require(gpus >= 0, "gpus", gpus, "give 0 or more")
-    visible = os.environ.get(VISIBLE, "")
-    there = len(visible.split(",")) if visible else gpus
-    require(gpus <= there, "gpus", gpus, f"give at most {there}: {VISIBLE} is {visible}")
+    names = names_of(gpus)
+    require(gpus <= len(names), "gpus", gpus, f"give at most {len(names)}: {VISIBLE} is {','.join(names)}")
     require(by_ray or not ray_address, "ray_address", ray_address, "goes with --engine ray")
     require(not (by_ray and gpus), "gpus", gpus, "Ray spreads programs over GPUs by itself; leave it out")
     spread = "goes with --processes of at least 2, which are spread over them"
@@ -210,13 +209,17 @@ def wait(children: list[subprocess.Popen], stop: StopRequest) -> None:
                 continue
 
 
+def names_of(gpus: int) -> list[str]:
+    """The names of the GPUs that this process sees; where nothing says it, of so many."""
+    visible = os.environ.get(VISIBLE, "")
+    return visible.split(",") if visible else [str(gpu) for gpu in range(gpus)]
+
+
 def environment(number: int, processes: int, gpus: int) -> dict[str, str]:
     """The environment of a process: its GPU, and what it may take of the memory."""
     if not gpus:
         return dict(os.environ)
-    visible = os.environ.get(VISIBLE, "")
-    names = visible.split(",") if visible else [str(gpu) for gpu in range(gpus)]
-    gpu = {VISIBLE: names[number % gpus]}
+    gpu = {VISIBLE: names_of(gpus)[number % gpus]}
     return os.environ | gpu | memory_of_each(-(-processes // gpus))
 
 
