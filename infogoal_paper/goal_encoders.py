@@ -8,7 +8,7 @@ import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import jaxgcrl, ogbench
-from infogoal_paper.table_formats import markdown_lines, tight
+from infogoal_paper.table_formats import machines_in_words, markdown_lines, tight
 
 ENCODERS = {
     "none": "none",
@@ -31,13 +31,26 @@ def success_table(online: list[jaxgcrl.Outcome], offline: list[ogbench.Outcome])
         for place, own in jaxgcrl.encoder_success(online).items()
     }
     notes = {"JaxGCRL's": jaxgcrl.foot(online)} if cells else {}
-    for task, outcomes in ogbench.groups(offline, held_out=True).items():
-        own, notes[task] = ogbench.encoder_cells(outcomes)
-        cells |= {(task, agent): found for agent, found in own.items() if len(found) > 1}
+    tasks = ogbench.groups(offline, held_out=True)
+    shown = [outcome for outcomes in tasks.values() for outcome in outcomes]
+    usual = max((len(outcome.seeds) for outcome in shown), default=0)
+    marks: set[int] = set()
+    data: dict[str, str] = {}
+    for task, outcomes in tasks.items():
+        own, found = ogbench.encoder_cells(outcomes, usual)
+        cells |= {(task, agent): each for agent, each in own.items() if len(each) > 1}
+        marks |= found
+        data[task] = "; ".join(filter(None, [*ogbench.data_in_words(outcomes), ogbench.corruption_in_words(outcomes)]))
+    if shown:
+        after = " or ".join(f"{mark:,}" for mark in sorted(marks))
+        machines = machines_in_words(outcome.machine for outcome in shown)
+        notes["OGBench's"] = (
+            f"after {after} updates, {usual} seeds; {machines}. Goals as in training, held out, corrupted."
+        )
     rows = [
         [f"{task}, `{agent}`", *(own.get(encoder, "") for encoder in ENCODERS)] for (task, agent), own in cells.items()
     ]
-    listed = "\n".join(f"- {name}: {note}" for name, note in notes.items())
+    listed = "\n".join(f"- {name}: {note}" for name, note in (notes | data).items())
     return f"{markdown_lines(['task, agent', *ENCODERS.values()], rows)}\n\n{listed}"
 
 

@@ -142,9 +142,13 @@ def last_common(sides: dict[str, list[Outcome]]) -> int:
 def foot(outcomes: list[Outcome], marks: set[int]) -> str:
     """The line below a table: after how many updates, on which data, where and when."""
     after = " or ".join(f"{mark:,}" for mark in sorted(marks))
-    said = sorted({word for outcome in outcomes for word in (outcome.data, outcome.sizes) if word})
-    found = "; ".join([*said, machines_in_words(outcome.machine for outcome in outcomes)])
+    found = "; ".join([*data_in_words(outcomes), machines_in_words(outcome.machine for outcome in outcomes)])
     return f"{found[:1].upper()}{found[1:]}." + (f" Success after {after} updates." if after else "")
+
+
+def data_in_words(outcomes: list[Outcome]) -> list[str]:
+    """What was learned from, and with which sizes where they are not OGBench's."""
+    return sorted({word for outcome in outcomes for word in (outcome.data, outcome.sizes) if word})
 
 
 def with_seeds(success: np.ndarray, usual: int) -> str:
@@ -202,11 +206,10 @@ def encoder_success(outcomes: Iterable[Outcome]) -> tuple[dict[str, dict[str, di
     return found, marks
 
 
-def encoder_cells(outcomes: list[Outcome]) -> tuple[dict[str, dict[str, str]], str]:
-    """Success with goal encoders, {agent: {encoder: cell}}, and how it was measured. A cell has a number for each kind
-    of goals of `encoder_success`."""
+def encoder_cells(outcomes: list[Outcome], usual: int) -> tuple[dict[str, dict[str, str]], set[int]]:
+    """Success with goal encoders, {agent: {encoder: cell}}, and after how many updates. A cell has a number for each
+    kind of goals of `encoder_success`, and how many seeds it is of where that is not the usual number."""
     found, marks = encoder_success(outcomes)
-    usual = max(len(outcome.seeds) for outcome in outcomes)
     cells: dict[str, dict[str, str]] = {}
     for agent, learners in found.items():
         for learner, parts in learners.items():
@@ -215,18 +218,25 @@ def encoder_cells(outcomes: list[Outcome]) -> tuple[dict[str, dict[str, str]], s
             cells.setdefault(agent, {})[learner] = (
                 ", ".join(tight(mean_interval(each)) for each in parts.values()) + number
             )
+    return cells, marks
+
+
+def corruption_in_words(outcomes: list[Outcome]) -> str:
+    """How goals are corrupted at test; empty where they are not."""
     noise = ", ".join(sorted({f"{outcome.noise:g}" for outcome in outcomes if outcome.noisy}))
-    said = "A cell: goals as in training, held out"
     if outcomes[0].goals == "images":
-        said += f", all with a background of weight {noise}"
-    elif noise:
-        said += f", all told wrong by {noise} (standard deviation)"
-    return cells, f"{foot(outcomes, marks)} {usual} seeds. {said}."
+        return f"with a background of weight {noise}"
+    return f"told wrong by {noise} (standard deviation)" if noise else ""
 
 
 def encoders(outcomes: list[Outcome]) -> str:
     """Success of goal encoders over several agents, and how it was measured."""
-    cells, said = encoder_cells(outcomes)
+    usual = max(len(outcome.seeds) for outcome in outcomes)
+    cells, marks = encoder_cells(outcomes, usual)
+    goals = "goals as in training, held out" + "".join(
+        f", all {told}" for told in [corruption_in_words(outcomes)] if told
+    )
+    said = f"{foot(outcomes, marks)} {usual} seeds. A cell: {goals}."
     learners = dict.fromkeys(learner for own in cells.values() for learner in own)
     rows = [[learner, *(own.get(learner, "") for own in cells.values())] for learner in learners]
     return f"{markdown_lines(['goal encoder', *(f'`{agent}`' for agent in cells)], rows)}\n\n{said}"

@@ -220,7 +220,8 @@ def test_goal_encoders_of_both_benchmarks_share_a_table(numbers):
     assert head == "| task, agent | none | InfoGoal | InfoGoal, beta 0 | VAE | COGOAL |"
     assert first == "| ant, `crl` | 0.10 |  | 0.30 |  |  |"
     assert second.startswith("| pointmaze-medium, `offline_crl` | 0.50±0.00, 0.00±0.00 |  |  |  | 0.20±0.00, ")
-    assert [note.partition(":")[0] for note in notes] == ["- JaxGCRL's", "- pointmaze-medium"]
+    assert [note.partition(":")[0] for note in notes] == ["- JaxGCRL's", "- OGBench's", "- pointmaze-medium"]
+    assert "after 10 updates, 2 seeds" in notes[1]
 
 
 def test_infogoal_differs_clearly_where_the_interval_of_paired_differences_leaves_out_0():
