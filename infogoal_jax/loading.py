@@ -21,7 +21,7 @@ from infogoal_jax import agents, checks, envs, exploration, learners, relabellin
 from infogoal_jax.agents import traits_of
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
-from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
+from infogoal_jax.envs.contract import check_contract, check_kind, check_reached, check_starts
 from infogoal_jax.envs.environment import Traits, has_image_goals
 from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
@@ -362,7 +362,9 @@ def load_environment(config: TrainConfig, env: Any = None):
         listed = np.flatnonzero(env.goals.listed_mask).astype(np.int32)  # A search evaluates some of them alone.
         env = env.with_goals(env.goals.replace(desired=jax.device_put(listed)))
     if is_foreign(type(env.unwrapped)):
-        check_goals(env)
+        check_starts(env)
+    if is_foreign(type(env.unwrapped)) or not env.goals.finite:  # Robots of a user's, under the package's own classes.
+        check_reached(env)
     check_combination(config, env)
     if not env.simulated and not env.goals.finite and env.goals.use_of is not None:
         remedy = "the recordings would teach the goals that are held out of training; give held_out"

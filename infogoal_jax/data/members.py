@@ -130,19 +130,20 @@ def fitting(
             continue
         array = np.asarray(members[name])
         own = []
-        if array.dtype.kind not in KINDS[kind] if kind in KINDS else array.dtype != kind:
+        typed = array.dtype.kind in KINDS[kind] if kind in KINDS else array.dtype == kind
+        if not typed:
             own.append((name, f"is {array.dtype}; give {kind}{conversion(array, kind)}"))
         if problem := shape_problem(array.shape, shape, lengths):
             own.append((name, problem))
-        if finite and not own:
+        else:  # Its lengths count, whatever its numbers are.
+            for word, length in zip(shape, array.shape, strict=True):
+                if isinstance(word, str):
+                    lengths.setdefault(word, (length, name))
+        if finite and typed:
             own += not_finite(name, array)
-        if own:
-            faults += own
-            continue
-        found[name] = array
-        for word, length in zip(shape, array.shape, strict=True):
-            if isinstance(word, str):
-                lengths.setdefault(word, (length, name))
+        faults += own
+        if not own:
+            found[name] = array
     return found, {word: length for word, (length, _) in lengths.items()}, faults
 
 
@@ -165,7 +166,7 @@ def shape_problem(found: tuple[int, ...], shape: tuple, lengths: Mapping[str, tu
 
 def not_finite(name: str, array: np.ndarray) -> Iterator[Fault]:
     """The rows with numbers that are not finite."""
-    if array.dtype.kind == "f":
+    if array.dtype.kind == "f" and array.size:
         with np.errstate(over="ignore"):
             finite = np.isfinite(array.astype(np.float32))
         wrong = ~finite.reshape(*finite.shape[:1], -1).all(-1)

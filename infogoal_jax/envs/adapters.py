@@ -46,6 +46,8 @@ MOST_STARTS = 4096
 GOALS_DRAWN = 4096
 """Goals that are drawn of an environment's own, to find how far they spread."""
 MOST_DRAWN = 2**16
+STARTS_CHECKED = 64
+"""Starts that are looked at where goals are not the environment's own."""
 MARGIN = 0.05
 """How far the goal space goes beyond those, as a fraction of their spread."""
 WRAPPED = ("first_obs", "first_pipeline_state", "AutoResetWrapper_first_obs", "steps", "truncation")
@@ -202,6 +204,9 @@ def from_brax(
     )
     require(goal_size > 0, "goal", "no numbers", "give a function that returns at least one")
     require(goal_size == achieved_size, "achieved", achieved_size, f"give as many numbers as goal has, {goal_size}")
+    require(
+        not told or told != of_achieved, "achieved", achieved, "is the desired goal itself; give what a state achieves"
+    )
     told = {*told, *layout.places(hidden, "hidden")}
     shown = tuple(place for place in range(layout.size) if place not in told)
     require(len(shown) > 0, "hidden", sorted(told), "leave something of the observation to see")
@@ -222,9 +227,13 @@ def from_brax(
         types=types_of(state),
         source=source or f"{type(getattr(env, 'unwrapped', env)).__name__}, simulated",
     )
-    sampler = None
+    drawn, sampler = drawn_goals(task, goals_drawn if low is None else STARTS_CHECKED), None
     if low is None:
-        drawn = drawn_goals(task, goals_drawn)
+        require(
+            np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset"
+        )
+        remedy = "is the same after every env.reset; read it where the environment draws it, or give low and high"
+        require(bool((np.ptp(drawn, 0) > 0).any()), "goal", drawn[0].tolist(), remedy)
         spread = np.maximum(MARGIN * np.ptp(drawn, 0), radius)
         low, high = drawn.min(0) - spread, drawn.max(0) + spread
         sampler = partial(draw_one, drawn)
@@ -288,7 +297,6 @@ JAXGCRL = {
     "ant_ball": ("ant_ball", "AntBall", {"backend": "spring"}),
     "ant_push": ("ant_push", "AntPush", {"backend": "mjx"}),
     "humanoid": ("humanoid", "Humanoid", {"backend": "spring"}),
-    "cheetah": ("half_cheetah", "Halfcheetah", {}),
     "pusher_easy": ("pusher", "Pusher", {"backend": "generalized", "kind": "easy"}),
     "pusher_hard": ("pusher", "Pusher", {"backend": "generalized", "kind": "hard"}),
     "pusher_reacher": ("pusher", "PusherReacher", {"backend": "generalized"}),
@@ -311,8 +319,11 @@ JAXGCRL = {
     },
 }
 """The environments of JaxGCRL by its own names: module, class and arguments, as its `create_env` has them. Left out are
-`ant_random_start`, which starts beside its own goal, where an evaluation asks for others, and `pusher2`, which has a
-radius for each of two things."""
+`ant_random_start`, which starts beside its own goal, where an evaluation asks for others, `cheetah`, which has one goal
+alone, and `pusher2`, which has a radius for each of two things."""
+ACHIEVED = {f"ant_ball_{maze}": (29, 30) for maze in ("u_maze", "big_maze")}
+"""Places of the ball in the state where `goal_indices` are others: of a joint's speed and of the ball's first number.
+The `success` of these environments looks at the ball."""
 RADII = {
     "pusher_reacher": 0.1,
     **{f"humanoid_{maze}": 0.5 for maze in ("u_maze", "big_maze", "hardest_maze")},
@@ -340,7 +351,7 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     require(known, "radius", None, f"{name} of JaxGCRL has none; give a distance below which a goal is reached")
     own = {
         "goal": slice(int(env.state_dim), None),
-        "achieved": [int(place) for place in np.asarray(env.goal_indices)],
+        "achieved": [int(place) for place in ACHIEVED.get(name, np.asarray(env.goal_indices))],
         "radius": None if radius is None else float(radius),
         "episode_length": 1001,
         "ends_at_goal": False,
@@ -406,8 +417,8 @@ class Layout:
         require(sum(sizes) > 0, "env", "an observation of no numbers", "give an environment with observations")
         numbers = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
         named = jax.tree.unflatten(jax.tree.structure(observation), numbers)
-        keys = named if isinstance(observation, dict) else {}
-        return cls(sum(sizes), {key: tuple(np.concatenate(jax.tree.leaves(part))) for key, part in keys.items()})
+        parts = {key: jax.tree.leaves(part) for key, part in named.items()} if isinstance(observation, dict) else {}
+        return cls(sum(sizes), {str(key): tuple(np.concatenate(part)) for key, part in parts.items() if part})
 
     def places(self, given: Places, field: str) -> tuple[int, ...]:
         """The places that are meant, each from 0 to below `size`."""
@@ -507,12 +518,17 @@ def without_types(state: Any) -> Any:
 
 
 def drawn_goals(task: AdaptedTask, count: int) -> np.ndarray:
-    """So many goals that the environment draws, float32 [M, D]."""
+    """So many goals that the environment draws, float32 [M, D]. Raises `UserError` where what is seen or achieved at
+    its start is not finite."""
+
+    def begun(key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        world = task.begin(key)
+        return task.read_goal(world), task.is_finite(world)
+
     keys = jax.random.split(from_seed(np.uint32(0)), count)
-    drawn = np.asarray(jax.jit(jax.vmap(lambda key: task.read_goal(task.begin(key))))(keys))
-    require(np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset")
-    remedy = "is the same after every env.reset; read it where the environment draws it, or give low and high"
-    require(bool((np.ptp(drawn, 0) > 0).any()), "goal", drawn[0].tolist(), remedy)
+    drawn, finite = map(np.asarray, jax.jit(jax.vmap(begun))(keys))
+    remedy = "observe and achieve finite numbers; `hidden` leaves out places of the observation"
+    require(bool(finite.all()), "env.reset", f"not finite at {1 - finite.mean():.0%} of the starts", remedy)
     return drawn
 
 

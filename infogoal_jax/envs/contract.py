@@ -189,10 +189,9 @@ def check_state(env: Environment, state: Any) -> None:
     checks.returned(state.desired_goal, "state.desired_goal", Spec(env.goals.shape, env.goals.dtype))
 
 
-def check_goals(env: Environment) -> None:
-    """Raise `UserError` for a task in which nothing can be learned, or in which held-out goals are: desired goals of
-    training that are none of the space or held out, starts that are not finite; and in a continuous goal space goals
-    that do not count as reached where they are achieved, or that always do. These few goals are computed."""
+def check_starts(env: Environment) -> None:
+    """Raise `UserError` for a task in which held-out goals are learned, or nothing can be: desired goals of training
+    that are none of the space or held out, starts that are not finite. These few episodes are begun."""
     with jax.ensure_compile_time_eval():
         keys = jax.random.split(from_seed(np.uint32(0)), DRAWN)
         desired, cells, finite = jax.jit(jax.vmap(lambda key: started(env, env.reset(key))))(keys)
@@ -207,8 +206,14 @@ def check_goals(env: Environment) -> None:
             require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
         outside = np.asarray(cells)[(cells < 0) | (cells >= env.num_cells)][:1].tolist()
         require(not outside, "env.cell_of", outside, f"give cells from 0 to below env.num_cells = {env.num_cells}")
-        if type(env).goals_of is not Environment.goals_of:
-            return  # What achieves a goal is known to the task alone.
+
+
+def check_reached(env: Environment) -> None:
+    """Raise `UserError` for a task whose evaluated goals do not count as reached where they are achieved, or whose
+    goals always do: nothing can be learned in it."""
+    if type(env).goals_of is not Environment.goals_of:
+        return  # What achieves a goal is known to the task alone.
+    with jax.ensure_compile_time_eval():
         goals = env.goals.evaluated
         reached = np.asarray(jax.jit(lambda goals: env.reached(goals[:, None], goals[None]))(goals))
     by_radius = getattr(type(env), "reached", None) is GoalTask.reached

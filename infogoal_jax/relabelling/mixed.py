@@ -2,9 +2,10 @@
 are a mixture of the goal that is achieved now, one that the episode achieves later, and any; the actor has goals of
 its own. Every step costs 1 until the goal.
 
-Three things differ from its code. A goal of a task that can be acted in is achieved within its radius, there by the
-very state alone. A later step is drawn uniformly; there the first and the last are half as likely. Current and later
-steps that achieve nothing known keep their goal, and are no subgoals.
+Four things differ from its code. A goal of a task that can be acted in is achieved within its radius, there by the
+very state alone. A later step is drawn uniformly; there the first and the last are half as likely. What the last
+observation of an episode achieves is a goal too, which it is never there. Current and later steps that achieve nothing
+known keep their goal, and are no subgoals.
 """
 
 import dataclasses

@@ -121,17 +121,24 @@ def score_cells(score: Callable[[str], np.ndarray | None]) -> list[str]:
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
     [seeds]} with the names of `evaluation.Setting`. A code without noise has one row."""
-    rows = []
-    for goals, goals_title in GOALS.items():
-        cells = {
-            code: score_cells(lambda column, kind=goals + suffix: scores.get(f"{kind}/{column}"))
-            for suffix, code in CODES.items()
-            if f"{goals}{suffix}/success_rate" in scores
-        }
-        if len(cells) > 1 and len(set(map(tuple, cells.values()))) == 1:
-            cells = {"": next(iter(cells.values()))}
-        rows += [(goals_title, code, *found) for code, found in cells.items()]
+    codes = CODES
+    if any("_mean_code/" in name for name in scores) and all(is_same_of_mean_codes(scores, name) for name in scores):
+        codes = {"": ""}
+    rows = [
+        (goals_title, code, *score_cells(lambda column, kind=goals + suffix: scores.get(f"{kind}/{column}")))
+        for goals, goals_title in GOALS.items()
+        for suffix, code in codes.items()
+        if f"{goals}{suffix}/success_rate" in scores
+    ]
     return number_table(("goals", "code", *TITLES), rows, words=2)
+
+
+def is_same_of_mean_codes(scores: dict[str, np.ndarray], name: str) -> bool:
+    """Whether these scores of every seed are the same where policies are given the means of codes, or where there are
+    none of those."""
+    kind, _, column = name.partition("/")
+    of_means = scores.get(f"{kind}_mean_code/{column}")
+    return of_means is None or np.array_equal(scores[name], of_means, equal_nan=True)
 
 
 def number_table(titles: Sequence[str], rows: Sequence[Sequence[str]], words: int = 0) -> Table:

@@ -137,7 +137,19 @@ FAULTS = {
     "goals": ({"achieved_goals": np.zeros(12)}, ["achieved_goals: has the shape [12]; give [rows, numbers"]),
     "all at once": (
         {"observations": HOLE, "actions": np.full((11, 1), 3.0), "terminals": np.zeros(12)},
-        ["observations[4]", "actions[0]: is [3.0], and 11 rows", "has 12 rows, but actions has 11", "no episode"],
+        ["observations[4]", "actions: has 11 rows, but observations has 12", "no episode"],
+    ),
+    "short, and not finite": (
+        {"observations": HOLE, "actions": np.full((11, 1), np.inf)},
+        ["observations[4]", "actions[0]: is [inf]", "actions: has 11 rows, but observations has 12"],
+    ),
+    "short beside what is of another type": (
+        {"observations": SEEN.astype(np.int64), "actions": np.zeros((11, 1)), "terminals": np.eye(11)[10]},
+        ["observations: is int64", "actions: has 11 rows, but obs", "terminals: has 11 rows, but observations has 12"],
+    ),
+    "two marks that contradict": (
+        in_memory("compact") | {"valids": 1 - np.eye(12, dtype=np.float32)[[4, 11]].sum(0)},
+        ["terminals[2]: is 1, but episodes end elsewhere by valids; leave one of both out"],
     ),
     "two layouts": (
         {"valids": 1 - recorded()["terminals"], "next_observations": SEEN},

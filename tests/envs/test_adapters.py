@@ -341,6 +341,13 @@ class Changing(Line):
         return state.replace(info=state.info | {"goal": jnp.zeros(2)})
 
 
+class Unbounded(Line):
+    """What it shows of a place below 0 is not finite."""
+
+    def seen(self, place, goal):
+        return super().seen(place, goal) | {"pair": jnp.where(place < 0, jnp.inf, jnp.ones((2, 1)))}
+
+
 class Sizeless(Line):
     """Its actions have no size."""
 
@@ -372,6 +379,9 @@ class Sizeless(Line):
         (Line(), {"goal": [[0], [1, 2]]}, "goal = [[0], [1, 2]]: give places"),
         (Line(), {"achieved": "pair"}, "achieved = 2: give as many numbers as goal has, 1"),
         (Line(), {"achieved": lambda state: state.place}, "achieved: raised AttributeError"),
+        (Line(), {"achieved": "goal"}, "achieved = 'goal': is the desired goal itself; give what a state achieves"),
+        (Unbounded(), {}, "% of the starts': observe and achieve finite numbers"),
+        (Unbounded(), {"low": [0.0], "high": [1.0]}, "% of the starts': observe and achieve finite numbers"),
         (Line(), {"hidden": ["way"]}, "hidden = ['way']: give places"),
         (Line(), {"hidden": slice(None)}, "leave something of the observation to see"),
         (Line(), {"radius": 0}, "radius = 0: give a distance greater than 0"),
@@ -388,6 +398,28 @@ def test_what_the_environment_does_not_have_is_one_line(env, arguments, said):
     with pytest.raises(UserError) as refused:
         envs.from_brax(env, **(ARGUMENTS | arguments))
     assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+class Nested(Line):
+    """Its observation has a part that holds nothing."""
+
+    def seen(self, place, goal):
+        return super().seen(place, goal) | {"extra": {}, "none": None}
+
+
+def test_parts_of_an_observation_that_hold_nothing_are_passed_over():
+    task = envs.from_brax(Nested(), **ARGUMENTS)
+    assert task.size == 5 and task.shown == line_task().shown
+    with pytest.raises(UserError, match="^goal = 'extra': give one of its keys: goal, pair, place, way"):
+        envs.from_brax(Nested(), **ARGUMENTS | {"goal": "extra"})
+
+
+def test_a_radius_within_which_all_goals_lie_is_refused_before_anything_is_compiled():
+    presets.register("wide", envs.from_brax(Line(), **ARGUMENTS | {"radius": 100.0}))
+    with pytest.raises(
+        UserError, match=r"^env.reached = 'True for every two goals': .*\(radius = 100\); give a smaller"
+    ):
+        make_train(presets.load("wide"))
 
 
 SIZES = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 2, "num_envs": 4, "rollout_steps": 20}
@@ -487,6 +519,19 @@ def test_ant_of_jaxgcrl_is_itself():
     assert np.linalg.norm(state.desired_goal) == pytest.approx(10.0, abs=1e-3)
     assert np.array_equal(task.achieved(state), task.observe(state)[:2])
     assert np.array_equal(task.goals.inputs_of(state.desired_goal), state.desired_goal)
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("maze", ["u_maze", "big_maze"])
+def test_the_ball_of_jaxgcrl_s_mazes_is_what_achieves_a_goal(maze):
+    """Its `goal_indices` begin one place too early there, at the speed of a joint."""
+    skip_without("jaxgcrl")
+    task = envs.from_jaxgcrl(f"ant_ball_{maze}")
+    state = jax.jit(task.reset)(KEYS[0])
+    world = jax.jit(task.step)(state, jnp.zeros(task.action_size)).world
+    far = np.linalg.norm(task.achieved_goal(world) - task.read_goal(world))
+    assert float(world.metrics["dist"]) == pytest.approx(far, abs=1e-3)
 
 
 def skip_without(package: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 from infogoal_jax import UserError, envs, make_train, presets
 from infogoal_jax.agents.td3 import TD3Config
 from infogoal_jax.bridges.gymnasium import TaskGymnasium, TaskVector
-from infogoal_jax.envs.contract import check_contract, check_goals
+from infogoal_jax.envs.contract import check_contract, check_reached
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.envs.plane import PlaneConfig
 from infogoal_jax.goals import GoalBox
@@ -310,7 +310,7 @@ def test_a_task_of_the_package_keeps_its_name():
 def test_a_sampler_of_one_goal_is_refused():
     goals = GoalBox.of([0.0, 0.0], [2.0, 2.0], sampler=lambda key: jnp.array([0.5, 0.25]))
     with pytest.raises(UserError, match=r"^sampler = \[0.5, 0.25\]: is the only goal that it draws"):
-        check_goals(Square(goals))
+        check_reached(Square(goals))
 
 
 NOT_EVALUATED = RunTable([0], np.arange(0), {})

@@ -70,4 +70,7 @@ def test_a_code_without_noise_has_one_row():
     same = {f"{kind}/success_rate": np.array([0.5, 0.7]) for kind in ("train_goal", "train_goal_mean_code")}
     other = {name: values + 0.1 * ("mean_code" in name) for name, values in same.items()}
     assert [score_table(scores).row_count for scores in (same, other)] == [1, 2]
+    # What is equal of one kind of goals alone, such as no success at all, is equal by chance.
+    both = other | {name.replace("train", "test"): scores for name, scores in same.items()}
+    assert score_table(both).row_count == 4
     assert "code" not in [column.header for column in score_table(same).columns]

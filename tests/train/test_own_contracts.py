@@ -28,7 +28,7 @@ from infogoal_jax import (
     presets,
     relabelling,
 )
-from infogoal_jax.envs.contract import check_contract, check_goals
+from infogoal_jax.envs.contract import check_contract, check_starts
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTask
@@ -202,13 +202,13 @@ def test_recordings_for_goals_that_are_held_out_are_refused():
     """Of a finite set: their codes would be looked up among those of training goals. The rows that are no transitions
     may have any."""
     env = hand_made_frames.qa()
-    check_goals(env)
+    check_starts(env)
     rows, held_out = env.recorded, int(np.flatnonzero(env.goals.test_mask)[0])
     goals = jnp.where(rows.valid, rows.desired_goal, held_out)
-    check_goals(env.replace(recorded=rows.replace(desired_goal=goals)))
+    check_starts(env.replace(recorded=rows.replace(desired_goal=goals)))
     of_test = rows.replace(desired_goal=jnp.full_like(goals, held_out))
     with pytest.raises(UserError, match=r"^env.recorded.desired_goal = \['.*'\]: is held out of training; give"):
-        check_goals(env.replace(recorded=of_test))
+        check_starts(env.replace(recorded=of_test))
 
 
 class InALine(GoalTask):
