@@ -155,7 +155,8 @@ def check_unchanged(wanted: dict[str, str], path: Path) -> None:
         if file is not None and file.checksum != checksum:
             raise OtherImportsError(
                 f"{path}: the run was made with another {name!r} (SHA-256 {checksum[:12]}) than {file.path} "
-                f"({file.checksum[:12]}); give the file as it was: {flags_of([name], path)}"
+                f"({file.checksum[:12]}); two versions need two commands; give the file as it was: "
+                f"{flags_of([name], path)}"
             )
     if imported and not set(wanted.values()) <= {file.checksum for file in imported.values()}:
         raise OtherImportsError(f"{path}: {missing(wanted, path)}")  # Others may register a task of the same name.

@@ -270,6 +270,8 @@ class ExportedPolicy:
                 value = value.astype(dtype)
             if list(value.shape) != shape or value.dtype != dtype:
                 raise ValueError(f"an array of shape {value.shape} and type {value.dtype}; wants {shape}, {dtype}")
+            if value.dtype.kind == "f" and not np.isfinite(value).all():
+                raise ValueError(f"{value.tolist()}: not finite, of which no action follows")
             given.append(value)
         return [np.asarray(array) for array in run_program(self.program, self.constants, given)]
 

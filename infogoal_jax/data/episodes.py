@@ -250,7 +250,8 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     beyond = np.zeros(0) if moves else (np.abs(taken) > 1 + WITHIN).any(1)
     for row in np.flatnonzero(beyond)[:1]:
         given = f"is {found['actions'][row].tolist()}, and {beyond.sum():,} rows go beyond -1 to 1"
-        yield f"actions[{row}]", f"{given}; divide by the largest action"
+        bounded = "give them as fractions of the way between the action_bounds, from -1 to 1"
+        yield f"actions[{row}]", f"{given}; {bounded if 'action_bounds' in found else 'divide by the largest action'}"
     low, high = found.get("action_bounds", ((0,), (1,)))
     if not np.less(low, high).all():
         yield "action_bounds", f"is {found['action_bounds'].tolist()}; give the lowest actions, then the highest"

@@ -393,24 +393,26 @@ class Simulator:
             raise UserError(f"{self.name}: raised {reason(error)}; {remedy}") from error
 
     def check_put_back(self) -> None:
-        """Raise `UserError` unless an episode with the environment put back into each state, and another played in
+        """Raise `UserError` unless an episode with the environment put back into each state, and others begun in
         between, is the one that it plays alone."""
         size = self.env.action_space.shape[0]
         actions = np.random.default_rng(0).uniform(-1, 1, (PLAYED, size)).astype(np.float32)
-        alone, other = [self.reset(1)], self.reset(2)
-        self.reset(1)
+        alone = [self.reset(1)]
         for action in actions:
             alone += [] if self.ended else [self.step(action)]
         row = self.reset(1)
         for number in range(len(alone)):
             same = all(np.array_equal(row.obs[name], alone[number].obs[name], equal_nan=True) for name in PARTS)
             where = f"after {number} steps" if number else "after a reset with the same seed"
-            remedy = "give read and write, which hold all that a step uses; a step may draw no random numbers"
+            remedy = (
+                "give read and write, which hold all that a step uses and a reset may draw; a step may draw no random "
+                "numbers"
+            )
             same = same and row[2:] == alone[number][2:]
             require(same, "make", self.name, f"goes elsewhere {where} when put back; {remedy}")
             if number + 1 < len(alone):
-                other = self.following(other, -actions[number])
-                other = self.reset(2) if self.ended else other
+                self.reset(2)
+                self.step(-actions[number])
                 row = self.following(row, actions[number])
 
 

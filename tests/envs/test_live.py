@@ -66,6 +66,25 @@ class Noisy(Mass):
         super().move(action + 0.1 * self.np_random.normal(size=2))
 
 
+class Drawn(Mass):
+    """Each episode has a motor of its own, in a dictionary."""
+
+    def begin(self):
+        super().begin()
+        self.motor = {"gain": self.np_random.uniform(0.5, 2.0)}
+
+    def move(self, action):
+        super().move(self.motor["gain"] * action)
+
+
+class Damped(Mass):
+    """Each episode has a damping of its own, in MuJoCo's model."""
+
+    def begin(self):
+        super().begin()
+        self.model.dof_damping[:] = self.np_random.uniform(0.5, 2.0)
+
+
 def read_hidden(env):
     """The state of `Hidden`."""
     return np.concatenate([*env.unwrapped.state, env.unwrapped.goal])
@@ -365,6 +384,8 @@ IMAGE = spaces.Box(0, 255, (8, 8, 3), np.uint8)
         (lambda: Other(action=spaces.Discrete(3)), {}, r"action_space = 'Discrete\(3\)': actions are vectors"),
         (lambda: Other(action=spaces.Box(-np.inf, np.inf, (2,))), {}, "action_space = .*give finite bounds"),
         (Hidden, {}, "make = 'Hidden': goes elsewhere after 1 steps when put back; give read and write"),
+        (Drawn, {}, "make = 'Drawn': goes elsewhere after 1 steps when put back; give .* and a reset may draw"),
+        (Damped, {}, "make = 'Damped': goes elsewhere after 1 steps when put back"),
         (Noisy, {}, "make = 'Noisy': goes elsewhere .* a step may draw no random numbers"),
         (lambda: Lost("achieved_goal"), {}, r"achieved_goal of Lost = \[nan, nan\]: is not finite after a reset"),
         (lambda: Lost("desired_goal"), {}, r"desired_goal of Lost = \[nan, nan\]: is not finite after a reset"),

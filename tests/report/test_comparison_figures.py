@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from scipy import stats
 
 from infogoal_jax import UserError, envs, presets
+from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.report import canvas
@@ -240,6 +241,12 @@ def test_as_much_of_the_path_as_tells_runs_apart(names, ends, folders, tmp_path,
     run = load_run(folders[0])
     titles = titles_of([dataclasses.replace(run, name=name) for name in names])
     assert titles == [f"infogoal ({end})" for end in ends]
+
+
+def test_agents_are_named_where_they_differ(folders):
+    run = load_run(folders[0])
+    other = dataclasses.replace(run, config=dataclasses.replace(run.config, agent=CQLConfig()))
+    assert titles_of([run, other]) == ["dqn, infogoal", "cql, infogoal"]
 
 
 @pytest.mark.long  # Figures that labels name, and of the command, are drawn below.

@@ -299,6 +299,9 @@ def test_a_policy_of_two_levels_values_nothing_and_chooses_a_target_where_it_has
     goal = np.ones(shape, kind)
     with pytest.raises(ValueError, match="actions are vectors: call drive"):
         policy.values(seen, goal)
+    for broken in (np.nan, np.inf):  # A sensor that fails is no reason for an arbitrary action.
+        with pytest.raises(ValueError, match="not finite, of which no action follows"):
+            policy.drive(np.where(np.arange(10) == 4, broken, seen), goal, 0)
     first, later = (policy.drive(seen, goal, step)[1] for step in (0, 1))
     assert np.array_equal(first, later) and first.any()
     assert np.array_equal(policy.drive(seen, goal, 1, 0 * first)[1], 0 * first)
