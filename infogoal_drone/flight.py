@@ -18,8 +18,8 @@ from infogoal_drone.vision import Detector, Picture, fault_of, seen
 from infogoal_jax.errors import require
 from infogoal_jax.stopping import say
 
-MOVE_SECONDS, TAKEOFF_SECONDS, LAND_SECONDS, QUERY_SECONDS = 7.0, 20.0, 10.0, 2.0
-"""How long an answer to each kind of command is waited for."""
+MOVE_SECONDS, TAKEOFF_SECONDS, QUERY_SECONDS, LAND_SECONDS = 7.0, 20.0, 2.0, 1.0
+"""How long an answer to each kind of command is waited for; `land`, which does no harm twice, is then sent again."""
 LOOK_SECONDS, REST_SECONDS = 0.02, 0.5
 """Between two looks at pictures and state; after the answer to a move, until images show the place that it led to: the
 video is late, the drone swings."""
@@ -271,8 +271,9 @@ class Flight:
         say(f"landing: {reason}")
         began = self.clock()
         while True:
+            sent = self.clock()
             self.link.send("land", LAND_SECONDS)
-            if self.wait(self.link.on_ground, 3.0):
+            if self.wait(self.link.on_ground, sent + LAND_SECONDS - self.clock()):
                 return True
             silent = self.link.state()[1] > SILENT_SECONDS
             if silent or self.clock() - began > LANDING_SECONDS:

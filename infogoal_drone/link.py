@@ -26,6 +26,13 @@ NO_IMAGE_YET = (300, 400)
 """Height and width of what djitellopy gives before the first image of the video, which has another size."""
 SPACING_SECONDS = 0.1
 """Between an answer and the next command, as djitellopy has it: a Tello may not hear what comes at once."""
+LEAST_SECONDS = 1.0
+"""Of this machine, for which an answer is waited for at least, however fast a simulation is."""
+REFUSALS = ("error", "out of range")
+"""How the answers begin that say that a command is not obeyed."""
+PACKETS_AT_REST, REST_SECONDS = 25, 2.0
+"""State packets in a row, ten a second, whose time of the motors, in whole seconds, is the same where these rest; and
+between the first and the last of them, so that late packets which come at once do not count."""
 
 
 class Address(NamedTuple):
@@ -49,6 +56,13 @@ class Answer(NamedTuple):
     text: str
     sent: float
     received: float
+
+
+def outcome_of(text: str) -> str:
+    """What an answer says: a number answers a query. What is neither yes nor no leaves open what the drone does."""
+    if text.lower() == "ok" or text.isdigit():
+        return "made"
+    return "refused" if text.lower().startswith(REFUSALS) else "unanswered"
 
 
 def import_djitellopy():
@@ -83,10 +97,10 @@ class Link:
         self.address, self.size, self.log, self.speed = address, size, log, speed
         self.recent: deque[Picture] = deque()
         self.state_packet: dict[str, Any] = {}
-        self.state_time, self.state_count, self.running = -math.inf, 0, False
-        self.motor_time, self.motor_since = -1, math.inf
+        self.state_time, self.running = -math.inf, False
+        self.motor_time, self.at_rest = -1, deque(maxlen=PACKETS_AT_REST)
         self.tello = self.reader = self.watcher = None
-        self.last_answer = 0.0
+        self.last_command, self.command_time, self.last_answer = "", 0.0, 0.0
 
     def connect(self, give_up: Callable[[], bool] = lambda: False) -> None:
         """Enter the SDK mode, turn the video on and begin to watch. Raises `UserError` where the drone does not
@@ -126,10 +140,11 @@ class Link:
             state = self.tello.get_current_state()
             if state is not last_state and state:
                 last_state = state
-                if state.get("time") != self.motor_time:
-                    self.motor_time, self.motor_since = state.get("time"), now
+                if state.get("time") != self.motor_time or state.get("vgz") != 0:
+                    self.at_rest.clear()
+                self.at_rest.append(now)
+                self.motor_time = state.get("time")
                 self.state_packet, self.state_time = state, now
-                self.state_count += 1
                 self.log.write("state", now, packet=state)
             frame = self.reader.frame if self.reader is not None else None
             if frame is not None and frame is not last_frame and frame.shape[:2] != NO_IMAGE_YET:
@@ -141,39 +156,59 @@ class Link:
             time.sleep(POLL_SECONDS)
 
     def send(self, command: str, seconds: float, give_up: Callable[[], bool] = lambda: False) -> Answer:
-        """Send a command once and wait for its answer, `seconds` of the drone at most and at least one of this
-        machine. Where `give_up` says so before it is sent, it is not."""
-        waiting = self.tello.get_own_udp_object()["responses"]
-        while waiting:
-            self.log.write("stray answer", text=waiting.pop(0).decode("utf-8", "replace"))
+        """Send a command once and wait for its answer, `seconds` of the drone at most. Where `give_up` says so before
+        it is sent, it is not."""
+        while self.waiting:
+            self.log.write("stray answer", text=self.waiting.pop(0).decode("utf-8", "replace"))
         time.sleep(max(0.0, self.last_answer + SPACING_SECONDS / self.speed - time.monotonic()))
         sent = time.monotonic()
         if give_up():
             self.log.write("note", text=f"{command} is not sent any more")
             return Answer("unanswered", "", sent, sent)
+        if command != self.last_command:  # A `land` that is sent again moves nothing that rests.
+            self.last_command, self.command_time = command, sent
         self.log.write("command", sent, command=command)
         try:
             self.tello.send_command_without_return(command)
-            end = sent + max(1.0, seconds / self.speed)
-            while not waiting and time.monotonic() < end and not give_up():
-                time.sleep(POLL_SECONDS)
-            text = waiting.pop(0).decode("utf-8", "replace").strip() if waiting else ""
+            text = self.receive(command.endswith("?"), self.deadline(sent, seconds), give_up)
         except OSError as error:  # The network is gone, which is one way not to be answered.
             self.log.write("note", text=f"{command} could not be sent: {error}")
             text = ""
         received = self.last_answer = time.monotonic()
-        answered = "made" if text.lower() == "ok" or command.endswith("?") else "refused"
-        outcome = answered if text else "unanswered"
+        outcome = outcome_of(text)
         self.log.write("answer", received, command=command, outcome=outcome, text=text)
         return Answer(outcome, text, sent, received)
+
+    def deadline(self, sent: float, seconds: float) -> float:
+        """Until when the answer to what was sent then is waited for."""
+        return sent + max(LEAST_SECONDS, seconds / self.speed)
+
+    def receive(self, number: bool, end: float, give_up: Callable[[], bool]) -> str:
+        """Wait for an answer until `end`. Returns its text, "" for none. number: of a query, or else of a command; the
+        other kind is the late answer to something else."""
+        while True:
+            while self.waiting:
+                text = self.waiting.pop(0).decode("utf-8", "replace").strip()
+                if text.isdigit() == number:
+                    return text
+                self.log.write("stray answer", text=text)
+            if time.monotonic() > end or give_up():
+                return ""
+            time.sleep(POLL_SECONDS)
+
+    @property
+    def waiting(self) -> list[bytes]:
+        """The answers that came and were not looked at."""
+        return self.tello.get_own_udp_object()["responses"]
 
     def resynchronise(self, seconds: float, give_up: Callable[[], bool] = lambda: False) -> bool:
         """After a missing answer: ask for the battery until a number comes, so that a late "ok" is not taken for the
         answer to the next command. Returns whether one came."""
-        waiting = self.tello.get_own_udp_object()["responses"]
-        for _ in range(3):
+        for earlier in range(3):
             answer = self.send("battery?", seconds, give_up)
-            if answer.text.isdigit() or any(late.strip().isdigit() for late in waiting):
+            if answer.outcome == "made":
+                for _ in range(earlier):  # The answers to the earlier questions may be under way.
+                    self.receive(True, self.deadline(answer.sent, seconds), give_up)
                 return True
             if give_up():
                 return False
@@ -188,11 +223,12 @@ class Link:
         return list(self.recent)
 
     def on_ground(self) -> bool:
-        """Whether the drone says that its motors have rested for 1.5 s: packets so long apart have the same time of the
-        motors, which counts seconds, and it does not sink."""
-        state, age = self.state()
-        at_rest = (self.state_time - self.motor_since) * self.speed > 1.5
-        return bool(state) and age < 1.0 and at_rest and state.get("vgz") == 0
+        """Whether the drone says that its motors rest: its last packets, all of which came after the last command, have
+        the same time of the motors, and it does not sink."""
+        times = list(self.at_rest)
+        if len(times) < PACKETS_AT_REST or times[0] <= self.command_time:
+            return False
+        return (times[-1] - times[0]) * self.speed > REST_SECONDS and self.state()[1] < 1.0
 
     def close(self) -> None:
         """Stop watching and turn the video off. The reader ends first, while images still come: it looks whether it
