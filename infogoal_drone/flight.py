@@ -5,6 +5,7 @@ of the video, a dead link, an error in any part of the program, Ctrl-C, the end 
 """
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from infogoal_drone.envelope import STEP, Envelope, Interrupted, Limits, Signals, Whereabouts, allowed
 from infogoal_drone.link import Answer, Link
 from infogoal_drone.records import Log
-from infogoal_drone.vision import Detector, Picture, fault_of, seen
+from infogoal_drone.vision import STALE_SECONDS, Detector, Picture, fault_of, seen
 from infogoal_jax.errors import require
 from infogoal_jax.stopping import say
 
@@ -26,7 +27,7 @@ video is late, the drone swings."""
 PICTURE_SECONDS = 5.0
 """How long a picture that can be trusted is waited for."""
 LINK_SECONDS, LINK_LOST_SECONDS = 1.0, 4.0
-"""Without a state packet: no move is made; the flight ends so much later."""
+"""Without a state packet: no move is made; the flight ends so much later, also while an answer is awaited."""
 MACHINE_SECONDS, LONGEST_PATIENCE = 2.5, 10.0
 """A simulation that is faster than time gives a busy machine so many of its own seconds for pictures and state packets,
 and the drone no more than this, which is less than the firmware's silence."""
@@ -85,7 +86,8 @@ class Flight:
         self.place, self.steps, self.unanswered, self.refused_in_row = Whereabouts(), 0, 0, 0
         self.refused: set[str] = set()
         self.before_move: np.ndarray | None = None
-        self.rest_since, self.hover_height = 0.0, 0
+        self.in_air, self.rest_since, self.picture_fault = False, 0.0, ""
+        self.hover_height: int | None = None
         self.found, self.signals = False, Signals()
 
     def fly(self) -> Outcome:
@@ -134,28 +136,30 @@ class Flight:
         require(bool(state) and age < LINK_SECONDS, "drone", "no state", "let the firewall pass the state packets")
         least = self.limits.battery_floor + 10
         require(state["bat"] >= least, "battery", f"{state['bat']} %", f"charge it: {least} % or more for a take-off")
-        ready = self.wait(lambda: self.picture_fault() == "", self.patience(PICTURE_SECONDS))
-        require(ready, "video", self.picture_fault(), "point the camera at the shelf, in light, and try again")
-        self.rehearse()
+        picture = self.wait(self.trusted_picture, self.patience(PICTURE_SECONDS))
+        require(bool(picture), "video", self.picture_fault, "point the camera at the shelf, in light, and try again")
+        self.rehearse(picture)
+        self.before_move = picture.small
         self.signals.check()
 
-    def rehearse(self) -> None:
+    def rehearse(self, picture: Picture) -> None:
         """Use detector and policy once: what they raise, and the seconds of a network's first use, belong here."""
-        picture = self.link.pictures()[-1]
         self.detect(picture.whole)
         self.policy(picture.small, np.ones(len(self.moves), bool))
 
     def take_off(self) -> None:
         """Take off and come to rest."""
-        answer = self.link.send("takeoff", TAKEOFF_SECONDS, self.signals.asked)
+        answer = self.link.send("takeoff", TAKEOFF_SECONDS, self.must_not_wait)
+        self.in_air = True
         self.signals.check()
         if answer.outcome != "made":
+            self.check_silence()
             raise Landing(f"takeoff was {answer.outcome}: {answer.text}")
         self.rest(answer)
-        self.hover_height = self.link.state()[0].get("h", 0)
 
     def run_steps(self) -> None:
         """Steps until one of them ends the flight. Always raises, in the end `Landing`."""
+        late = 0.0
         while True:
             picture = self.await_picture()
             in_view = seen(self.detect(picture.whole), picture.whole, self.limits.confidence)
@@ -171,13 +175,20 @@ class Flight:
             move = self.moves[self.policy(picture.small, mask)]
             self.check_link()
             self.check_state()
+            age = (time.monotonic() - picture.time) * self.link.speed
+            if age > STALE_SECONDS:  # A slow detector, or state packets that were waited for.
+                late += age
+                if late > self.patience(PICTURE_SECONDS):
+                    raise Landing(f"video stale: it is {age:.1f} s old when the move has been chosen")
+                continue
+            late = 0.0
             self.tell(picture, in_view, move)
             self.make(move, picture)
 
     def make(self, move: str, picture: Picture) -> None:
         """Send one move and wait for what comes of it; the next is not sent before."""
         self.steps += 1
-        answer = self.link.send(f"{move} {STEP}", MOVE_SECONDS, self.signals.asked)
+        answer = self.link.send(f"{move} {STEP}", MOVE_SECONDS, self.must_not_wait)
         latency = answer.sent - picture.time
         self.place = self.place.after(move, answer.outcome)
         self.log.write(
@@ -185,7 +196,8 @@ class Flight:
             image=round(picture.time - self.log.began, 4), latency=round(latency, 4),
         )  # fmt: skip
         self.signals.check()
-        self.before_move = picture.small if answer.outcome == "made" else None
+        if answer.outcome != "refused":  # After a missing answer it may be back where it was.
+            self.before_move = picture.small if answer.outcome == "made" else None
         self.refused = self.refused | {move} if answer.outcome == "refused" else set()
         self.refused_in_row = self.refused_in_row + 1 if answer.outcome == "refused" else 0
         if answer.outcome == "refused":
@@ -194,12 +206,14 @@ class Flight:
             if self.refused_in_row >= MOST_REFUSALS:
                 raise Landing(f"{MOST_REFUSALS} moves in a row were refused, the last: {answer.text}")
         if answer.outcome == "unanswered":
+            self.check_silence()
             self.unanswered += 1
             if self.unanswered >= MOST_UNANSWERED:
                 raise Landing(f"{self.unanswered} moves were never answered")
-            answers = self.link.resynchronise(QUERY_SECONDS, self.signals.asked)
+            answers = self.link.resynchronise(QUERY_SECONDS, self.must_not_wait)
             self.signals.check()
             if not answers:
+                self.check_silence()
                 raise Landing("the drone no longer answers")
         self.rest(answer)
 
@@ -208,22 +222,24 @@ class Flight:
         self.rest_since = answer.received + REST_SECONDS / self.link.speed
 
     def await_picture(self) -> Picture:
-        """The last picture, once it can be trusted; meanwhile everything else is watched. Raises `Landing`."""
+        """The last picture, once it can be trusted and a state packet came after the last move; meanwhile everything
+        else is watched. Raises `Landing`."""
         began = self.clock()
         while True:
             self.check_link()
             self.check_state()
-            fault = self.picture_fault()
-            if not fault:
-                return self.link.pictures()[-1]
+            picture = self.trusted_picture()
+            if picture is not None and self.quiet():
+                return picture
             if self.clock() - began > self.patience(PICTURE_SECONDS):
-                raise Landing(f"video {fault}")
+                raise Landing(f"video {self.picture_fault}" if picture is None else "no state packet since the move")
             time.sleep(LOOK_SECONDS / self.link.speed)
 
-    def picture_fault(self) -> str:
-        """What is wrong with the last picture."""
-        before = self.before_move if self.steps else None
-        return fault_of(self.link.pictures(), time.monotonic(), self.rest_since, self.link.speed, before)
+    def trusted_picture(self) -> Picture | None:
+        """The last picture if it can be trusted; else `picture_fault` says in a word what is wrong with it."""
+        found, now = self.link.pictures(), time.monotonic()
+        self.picture_fault = fault_of(found, now, self.rest_since, self.link.speed, self.in_air, self.before_move)
+        return None if self.picture_fault else found[-1]
 
     def check_link(self) -> None:
         """Wait while state packets are late; raise `Landing` where they stay away, and where nothing is logged any
@@ -235,8 +251,21 @@ class Flight:
         if age < LINK_SECONDS:
             return
         self.log.write("note", text=f"no state packet for {age:.1f} s; waiting")
-        if not self.wait(lambda: self.link.state()[1] < LINK_SECONDS, self.patience(LINK_LOST_SECONDS)):
+        self.wait(lambda: self.link.state()[1] < LINK_SECONDS or self.silent())
+        self.check_silence()
+
+    def check_silence(self) -> None:
+        """Raise `Landing` where state packets stay away."""
+        if self.silent():
             raise Landing(f"link lost: no state packet for {self.link.state()[1]:.0f} s")
+
+    def silent(self) -> bool:
+        """Whether state packets stay away for so long that the flight ends."""
+        return self.link.state()[1] > LINK_SECONDS + self.patience(LINK_LOST_SECONDS)
+
+    def must_not_wait(self) -> bool:
+        """Whether it is time to land: no answer is awaited any more."""
+        return self.signals.asked() or self.silent()
 
     def check_state(self) -> None:
         """Raise `Landing` for an empty battery, and for motions that nobody here asked for."""
@@ -247,6 +276,8 @@ class Flight:
             speed = max(abs(state.get(name, 0)) for name in ("vgx", "vgy", "vgz"))
             if speed >= FOREIGN_SPEED:
                 raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: {FOREIGN}")
+            if self.hover_height is None:
+                self.hover_height = state["h"]
             low, high = (self.hover_height + STEP * row for row in (self.place.low[1], self.place.high[1]))
             if not low - HEIGHT_OFF <= state["h"] <= high + HEIGHT_OFF:
                 raise Landing(f"its height is {state['h']} cm, and {low} to {high} cm by the moves: {FOREIGN}")
@@ -289,12 +320,12 @@ class Flight:
         """Seconds of the drone."""
         return time.monotonic() * self.link.speed
 
-    def wait(self, condition: Callable[[], Any], seconds: float) -> bool:
-        """Wait until the condition holds. Returns whether it does within so many seconds of the drone."""
+    def wait(self, condition: Callable[[], Any], seconds: float = math.inf) -> Any:
+        """Wait until the condition holds, for so many seconds of the drone at most. Returns its last value."""
         end = self.clock() + seconds
-        while not condition():
+        while not (value := condition()):
             self.signals.check()
             if self.clock() > end:
-                return False
+                break
             time.sleep(LOOK_SECONDS / self.link.speed)
-        return True
+        return value

@@ -91,12 +91,18 @@ def has_lost_band(image: np.ndarray) -> bool:
 
 
 def fault_of(
-    pictures: list[Picture], now: float, since: float, speed: float = 1.0, before_move: np.ndarray | None = None
+    pictures: list[Picture],
+    now: float,
+    since: float,
+    speed: float = 1.0,
+    in_air: bool = False,
+    before_move: np.ndarray | None = None,
 ) -> str:
     """What is wrong with the last of these pictures, in a word, or "" if it may be trusted.
 
     pictures: those of the last seconds, oldest first; since: when the drone had come to rest; speed: simulated seconds
-    in a second; before_move: what was seen before the last move that was answered with ok; None on the ground.
+    in a second; in_air: whether the camera always moves; before_move: what was seen before the take-off or move that
+    led here, None if it is not known.
     """
     if not pictures or now - pictures[-1].time > STALE_SECONDS / speed:
         return "stale"
@@ -113,8 +119,8 @@ def fault_of(
         largest_band_difference(one.small, other.small) > TORN_DIFFERENCE for one, other in itertools.pairwise(steady)
     ):
         return "torn"
-    if before_move is not None:
-        if difference(before_move, last) < UNMOVED:
+    if in_air:
+        if before_move is not None and difference(before_move, last) < UNMOVED:
             return "frozen"
         recent = [picture for picture in pictures if picture.time >= now - FROZEN_SECONDS / speed]
         long_enough = recent[-1].time - recent[0].time > 0.8 * FROZEN_SECONDS / speed

@@ -2,12 +2,15 @@
 
 import os
 import signal
+import threading
 import time
 
+import cv2
 import numpy as np
 import pytest
 
 from infogoal_drone import flight as flight_module
+from infogoal_drone import vision
 from infogoal_drone.envelope import MOVES, Envelope, Limits
 from infogoal_drone.flight import Flight
 from infogoal_drone.link import Answer
@@ -73,6 +76,7 @@ OPEN_LOGS: list[Log] = []
 def trusted_pictures(monkeypatch):
     """Pictures are trusted: tests/drone/test_simulated_drone.py is about them. Logs are closed in the end."""
     monkeypatch.setattr(flight_module, "fault_of", lambda found, now, since, *more: "" if now > since else "waiting")
+    monkeypatch.setattr(flight_module, "STALE_SECONDS", np.inf)  # A busy machine makes them old at this pace.
     yield
     while OPEN_LOGS:
         OPEN_LOGS.pop().close()
@@ -278,6 +282,107 @@ def test_pictures_that_cannot_be_trusted_end_it(tmp_path, monkeypatch):
     monkeypatch.setattr(flight_module, "fault_of", lambda *arguments: next(faults, "frozen"))
     flight, _ = make_flight(tmp_path)
     assert flight.fly().reason == "video frozen"
+
+
+def test_no_move_is_made_on_a_picture_that_became_old(tmp_path, monkeypatch):
+    """While the detector took its time, or state packets were waited for."""
+    monkeypatch.setattr(flight_module, "STALE_SECONDS", 1.0)
+    flight, drone = make_flight(tmp_path, steps=2, speed=10.0)
+    pauses = [0.2, 0.0, 0.2, 0.0]
+
+    def think(picture, mask):
+        time.sleep(pauses.pop(0) if drone.in_air and pauses else 0.0)
+        return go_right(picture, mask)
+
+    flight.policy = think
+    flight.fly()
+    steps = events_of(read(tmp_path / NAME), "step")
+    assert len(steps) == 2 and all(step["latency"] < 0.2 for step in steps)
+
+
+def test_a_detector_that_is_too_slow_ends_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(flight_module, "STALE_SECONDS", 1.0)
+    flight, drone = make_flight(tmp_path, detect=lambda image: time.sleep(0.02) or [])
+    assert "video stale" in flight.fly().reason
+    assert moves_of(drone) == []
+
+
+def test_the_picture_that_was_checked_is_the_one_that_is_used(tmp_path, monkeypatch):
+    """Another may arrive after the check, on the ground and in the air."""
+    checked, used = [], []
+    monkeypatch.setattr(flight_module, "fault_of", lambda found, *more: checked.append(found[-1]) or "")
+    flight, _ = make_flight(tmp_path, policy=lambda small, mask: used.append(small) or go_right(small, mask))
+    flight.link.pictures = lambda: [Picture(time.monotonic(), IMAGE.copy(), IMAGE)]
+    flight.fly()
+    assert len(used) == 5 and all(any(small is picture.small for picture in checked) for small in used)
+
+
+def test_no_move_is_chosen_before_a_state_packet_says_where_it_led(tmp_path):
+    """How much is below, and whether another controller moves it, is as new as the picture."""
+    flight, drone = make_flight(tmp_path, speed=10.0)
+    packets = []
+
+    def state():
+        return drone.packet, min((time.monotonic() - arrived) * 10 for arrived in packets)
+
+    drone.state = state
+    packets.append(time.monotonic())
+    flight.rest_since = time.monotonic()
+    began = time.monotonic()
+    threading.Timer(0.05, lambda: packets.append(time.monotonic())).start()
+    flight.await_picture()
+    assert 0.04 < time.monotonic() - began < 0.5
+
+
+class LiveVideo:
+    """Thirty images a second of a camera that moves a little, and is elsewhere after every command. frozen_from: the
+    command from which on all images are the same."""
+
+    def __init__(self, drone, frozen_from: str):
+        coarse = np.random.default_rng(0).uniform(0, 255, (12, 40, 3)).astype(np.float32)
+        self.wall = cv2.resize(coarse, (640, 48), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
+        self.drone, self.frozen_from, self.found = drone, frozen_from, []
+        send = drone.send
+
+        def send_and_see(command, *more):
+            answer = send(command, *more)
+            self.moved += 1
+            return answer
+
+        self.moved, drone.send = 0, send_and_see
+
+    def __call__(self):
+        """The pictures until now."""
+        now, step = time.monotonic(), 1 / 30 / self.drone.speed
+        if not self.found:
+            self.found.append(self.picture(now - 3 / self.drone.speed, 0))
+        while self.found[-1].time + step <= now:
+            frozen = self.frozen_from in self.drone.sent
+            number = len(self.found)
+            self.found.append(
+                self.found[-1]._replace(time=self.found[-1].time + step)
+                if frozen
+                else self.picture(self.found[-1].time + step, number)
+            )
+        return self.found[-120:]
+
+    def picture(self, at: float, number: int) -> Picture:
+        left = 60 * self.moved + number % 3
+        image = np.ascontiguousarray(self.wall[:, left : left + 64])
+        return Picture(at, image, image)
+
+
+@pytest.mark.parametrize(
+    ("frozen_from", "answer", "moves"),
+    [("takeoff", "ok", 0), ("right 20", "ok", 1), ("right 20", "error", 1), ("right 20", "", 1)],
+)
+def test_a_video_that_freezes_is_noticed_after_every_command(tmp_path, monkeypatch, frozen_from, answer, moves):
+    monkeypatch.setattr(flight_module, "fault_of", vision.fault_of)
+    monkeypatch.setattr(flight_module, "MACHINE_SECONDS", 0.0)
+    flight, drone = make_flight(tmp_path, {"right": [lambda: time.sleep(2 / 5) or answer]}, speed=5.0)
+    drone.pictures = LiveVideo(drone, frozen_from)
+    assert flight.fly().reason == "video frozen"
+    assert len(moves_of(drone)) == moves
 
 
 def test_a_full_disk_lands(tmp_path):

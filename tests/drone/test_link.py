@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from infogoal_drone import flight as flight_module
 from infogoal_drone import link as link_module
 from infogoal_drone.envelope import MOVES, Envelope, Limits
-from infogoal_drone.flight import Flight
+from infogoal_drone.flight import Flight, Landing
 from infogoal_drone.link import NO_IMAGE_YET, Address, Link
 from infogoal_drone.records import NAME, Log, events_of, read
+from infogoal_drone.vision import Picture
 from infogoal_jax.errors import UserError
 
 SPEED = 10.0
@@ -227,11 +229,30 @@ def test_packets_that_come_late_and_at_once_are_no_rest(connect):
     assert not link.on_ground()
 
 
+def flight_over(link) -> Flight:
+    """A flight over this link."""
+    return Flight(link, lambda picture, mask: 0, tuple(MOVES), lambda image: [], "", Envelope(), Limits(), link.log)
+
+
 def land(link) -> bool:
     """The end of a flight over this link."""
-    flight = Flight(link, lambda picture, mask: 0, tuple(MOVES), lambda image: [], "", Envelope(), Limits(), link.log)
+    flight = flight_over(link)
     flight.signals.landing = True
     return flight.land("a test")
+
+
+@pytest.mark.parametrize("command", ["takeoff", "right"])
+def test_a_link_that_dies_while_an_answer_is_awaited_ends_the_flight(connect, monkeypatch, command):
+    """After five seconds, not after the 20 or 7 that the answer may take."""
+    monkeypatch.setattr(flight_module, "MACHINE_SECONDS", 0.0)
+    link, stub = connect({command: [[]]})
+    assert wait_for(lambda: link.state()[1] < 1.0)
+    stub.silent, began = True, stub.clock()
+    flight, image = flight_over(link), np.zeros((48, 64, 3), np.uint8)
+    with pytest.raises(Landing, match="link lost"):
+        flight.take_off() if command == "takeoff" else flight.make(command, Picture(time.monotonic(), image, image))
+    assert 3.5 < stub.clock() - began < 6.5
+    assert "battery?" not in stub.sent
 
 
 def test_a_lost_land_is_sent_again_soon(connect):

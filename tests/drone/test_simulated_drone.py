@@ -184,7 +184,7 @@ def now_of(found: list[Picture]) -> float:
 def test_a_hovering_camera_is_trusted(world, seed):
     found = hover(world, 90, seed)
     before = hover(world, 1, seed, at=100 + round(0.2 * shelf.PIXELS_PER_METRE))[0].small
-    assert fault_of(found, now_of(found), 0.0, 1.0, before) == ""
+    assert fault_of(found, now_of(found), 0.0, 1.0, True, before) == ""
 
 
 def test_late_images(world):
@@ -231,10 +231,11 @@ def test_a_frozen_video(world):
     found = hover(world, 1)
     frozen = [found[0]._replace(time=number / RATE) for number in range(90)]
     elsewhere = hover(world, 1, at=400)[0].small
-    assert fault_of(frozen, now_of(frozen), 0.0, 1.0, elsewhere) == "frozen"
+    assert fault_of(frozen, now_of(frozen), 0.0, 1.0, True, elsewhere) == "frozen"
     drifting = hover(world, 20)
-    assert fault_of(drifting, now_of(drifting), 0.0, 1.0, drifting[-1].small) == "frozen"
-    assert fault_of(frozen, now_of(frozen), 0.0, 1.0, None) == "", "on the ground nothing moves"
+    assert fault_of(drifting, now_of(drifting), 0.0, 1.0, True, drifting[-1].small) == "frozen"
+    assert fault_of(frozen, now_of(frozen), 0.0, 1.0, True, None) == "frozen", "before the first move, too"
+    assert fault_of(frozen, now_of(frozen), 0.0, 1.0, False, elsewhere) == "", "on the ground nothing moves"
 
 
 class Boxes(list):
