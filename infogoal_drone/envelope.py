@@ -110,8 +110,9 @@ class Signals:
     """Within, every signal that asks the command to stop is noted and does nothing else: not even the second one may
     end a program whose drone is in the air. The flight looks at `count` wherever it waits."""
 
-    def __init__(self):
-        self.count, self.landing = 0, False
+    def __init__(self, words: str = "Landing. The propellers still turn."):
+        """words: are said at every signal."""
+        self.words, self.count, self.landing = words, 0, False
 
     def __enter__(self) -> "Signals":
         self.stack = contextlib.ExitStack()
@@ -127,7 +128,7 @@ class Signals:
     def note(self, request: stopping.StopRequest) -> None:
         """Count a signal."""
         self.count += 1
-        stopping.say("Landing. The propellers still turn.")
+        stopping.say(self.words)
 
     def asked(self) -> bool:
         """Whether a signal came and the landing has not begun: nothing is waited for any more."""

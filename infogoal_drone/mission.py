@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_drone.cli import DroneFlags
-from infogoal_drone.envelope import MOVES, Envelope, Limits
+from infogoal_drone.envelope import MOVES, Envelope, Limits, Signals
 from infogoal_drone.flight import Flight, Outcome, Policy
 from infogoal_drone.link import Address, Link, check_ports, import_djitellopy
 from infogoal_drone.records import Log, Recorder, check_recordings
@@ -206,7 +206,7 @@ def run_mission(
     for no take-off. Raises `UserError` for what is found before the take-off.
     """
     settings.check()
-    envelope = settings.envelope()
+    envelope, folder = settings.envelope(), folder.resolve()  # Its name is that of the recorded flight, also for ".".
     if record:
         check_recordings(Path(record), folder.name)
     import_djitellopy()
@@ -274,10 +274,10 @@ def fly_at(folder, address: Address, detect, flown: Flown, target, envelope, set
     link = Link(address, flown.size, log, settings.speed)
     visit = recorder.visit if recorder is not None else None
     flight = Flight(link, flown.policy, flown.moves, detect, target, envelope, limits, log, visit)
-    try:
-        return flight.fly()
-    finally:
-        link.close()
-        log.close()
+    # Signals after the landing lose nothing either. What is named last is closed first, whatever the others raise.
+    with Signals("Writing what was recorded."), contextlib.ExitStack() as closing:
+        closing.callback(log.close)
+        closing.callback(link.close)
         if recorder is not None:
-            recorder.close()
+            closing.callback(recorder.close)
+        return flight.fly()

@@ -2,6 +2,7 @@
 it happens; and recordings in the form that `infogoal data import` takes (docs/reference/datasets.md), with a policy
 that explores."""
 
+import contextlib
 import csv
 import dataclasses
 import io
@@ -159,9 +160,12 @@ def events_of(events: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
 
 def check_recordings(folder: Path, trajectory: str) -> None:
     """Raise `UserError` if a flight of this name cannot be added to the recordings of this folder."""
+    usable = trajectory == trajectory.strip() and trajectory.isprintable() and trajectory not in ("", TABLE)
+    require(usable, "out", trajectory, "cannot be the name of a recorded flight; let --out end in another name")
     try:
+        images = folder / trajectory
         require(
-            not (folder / trajectory).exists(),
+            not images.exists() or (images.is_dir() and not any(images.iterdir())),
             "record",
             str(folder),
             f"holds {trajectory} already; give another folder, or let --out end in another name",
@@ -200,7 +204,7 @@ class Recorder:
         self.stopped = False
         check_recordings(folder, trajectory)
         try:
-            (folder / trajectory).mkdir(parents=True, exist_ok=False)
+            (folder / trajectory).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise cannot_write(folder, error.strerror) from error
 
@@ -226,6 +230,9 @@ class Recorder:
     def close(self) -> int:
         """Write the rows to the table. Returns the number of moves that were recorded. Raises `UserError` if the disk
         refuses."""
+        if not self.rows:
+            with contextlib.suppress(OSError):  # A flight that was refused on the ground has no pictures.
+                (self.folder / self.trajectory).rmdir()
         if len(self.rows) < 2:
             return 0
         self.rows[-1]["action"] = ""

@@ -2,10 +2,12 @@
 leaves behind: recordings that `infogoal data import` takes, and the policy that explores."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -257,6 +259,79 @@ def test_a_name_is_not_used_twice(tmp_path):
     record(tmp_path, "monday", [("right", "made")])
     with pytest.raises(UserError, match="holds monday already; give another folder"):
         Recorder(tmp_path, "monday")
+
+
+def test_a_flight_that_was_refused_on_the_ground_can_be_tried_again(tmp_path):
+    """Its folder goes; that of a program that was killed there is empty, and is taken."""
+    assert Recorder(tmp_path, "monday").close() == 0
+    assert not (tmp_path / "monday").exists()
+    (tmp_path / "monday").mkdir()
+    assert record(tmp_path, "monday", [("right", "made")]) == 1
+
+
+@pytest.mark.parametrize("name", ["", TABLE, " monday", "mon\nday", "mon\udcffday"])
+def test_names_that_no_recorded_flight_can_have(tmp_path, name):
+    with pytest.raises(UserError, match="out = .*cannot be the name of a recorded flight"):
+        Recorder(tmp_path, name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def flown_at(tmp_path, monkeypatch):
+    """Runs a recorded flight of one move over no link: `flight` and `close` stand for what it and its end do."""
+
+    def fly(flight=lambda: None, close=lambda: None, out="monday"):
+        def begin(link, policy, moves, detect, target, envelope, limits, log, visit):
+            def fly():
+                image = np.zeros((48, 64, 3), np.uint8)
+                visit(Picture(0.0, image, image), Whereabouts(), {"mug"}, "right")
+                visit(Picture(0.0, image, image), Whereabouts().after("right", "made"), set(), "")
+                return flight()
+
+            return types.SimpleNamespace(fly=fly)
+
+        monkeypatch.setattr(mission, "Flight", begin)
+        monkeypatch.setattr(mission, "Link", lambda *given: types.SimpleNamespace(close=close))
+        monkeypatch.setattr(mission, "import_djitellopy", lambda: None)
+        monkeypatch.setattr(mission, "check_ports", lambda ports: None)
+        flown = mission.Flown(lambda picture, mask: 0, tuple(MOVES), (48, 64))
+        return mission.run_mission(Path(out), flown, "", mission.Settings(), str(tmp_path / "recordings"))
+
+    monkeypatch.chdir(tmp_path)
+    return fly
+
+
+def test_signals_after_the_landing_lose_nothing(tmp_path, flown_at):
+    """While the video is turned off and the log is closed."""
+    before = signal.getsignal(signal.SIGINT)
+    flown_at(close=lambda: os.kill(os.getpid(), signal.SIGINT))
+    assert len(imported(tmp_path / "recordings").frames) == 2
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_fault_of_the_link_when_it_is_closed_loses_nothing(tmp_path, flown_at):
+    def fail():
+        assert (tmp_path / "recordings" / TABLE).exists(), "the recording is written first"
+        raise OSError("the network is gone")
+
+    with pytest.raises(OSError, match="the network is gone"):
+        flown_at(close=fail)
+    assert len(imported(tmp_path / "recordings").frames) == 2
+
+
+def test_an_error_in_the_air_loses_nothing(tmp_path, flown_at):
+    with pytest.raises(ZeroDivisionError):
+        flown_at(flight=lambda: 1 / 0)
+    assert len(imported(tmp_path / "recordings").frames) == 2
+
+
+def test_a_recorded_flight_has_the_name_of_its_folder(tmp_path, flown_at, monkeypatch):
+    """Also where that is the working directory."""
+    (tmp_path / "monday").mkdir()
+    monkeypatch.chdir(tmp_path / "monday")
+    flown_at(out=".")
+    rows = (tmp_path / "recordings" / TABLE).read_text().splitlines()
+    assert [row.split(",")[:2] for row in rows[1:]] == [[f"monday/000{n}.png", "monday"] for n in range(2)]
 
 
 def test_a_table_of_others_is_not_added_to(tmp_path):
