@@ -26,7 +26,7 @@ NO_IMAGE_YET = (300, 400)
 """Height and width of what djitellopy gives before the first image of the video, which has another size."""
 SPACING_SECONDS = 0.1
 """Between an answer and the next command, as djitellopy has it: a Tello may not hear what comes at once."""
-LEAST_SECONDS = 1.0
+LEAST_SECONDS = 0.5
 """Of this machine, for which an answer is waited for at least, however fast a simulation is."""
 REFUSALS = ("error", "out of range")
 """How the answers begin that say that a command is not obeyed."""

@@ -49,6 +49,8 @@ class Fault(NamedTuple):
     """Faults of the simulated drone."""
     act: str = ""
     """What is done to the program that flies, or to the drone, once it has moved twice."""
+    landed_by: tuple[str, ...] = ("command land",)
+    """What the drone may land by: by its firmware where commands do not arrive."""
 
     @property
     def moves(self) -> int:
@@ -60,17 +62,23 @@ STEPS_USED_UP = "steps are used up"
 LATE = ("video stale", "video waiting")
 """On a machine that is too busy for the pace of the simulation the video stops before anything else does."""
 LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", "its own landing", *LATE)
+BY_ITSELF = "no command for 15 s"
 FAULTS = (
     Fault("a tenth of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.1},)),
-    Fault("half of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.5},)),
+    Fault(
+        "half of the packets lost",
+        (STEPS_USED_UP, *LOST),
+        ({"kind": "loss", "after": 1, "share": 0.5},),
+        landed_by=("command land", BY_ITSELF),
+    ),
     Fault("link dead for 1 s", (STEPS_USED_UP, *LOST), ({"kind": "dead", "after": 2, "seconds": 1.0},)),
-    Fault("link dead for good", LOST, ({"kind": "dead", "after": 2, "seconds": FAR_AWAY},)),
+    Fault("link dead for good", LOST, ({"kind": "dead", "after": 2, "seconds": FAR_AWAY},), landed_by=(BY_ITSELF,)),
     Fault("frozen video", ("video frozen", *LATE), ({"kind": "frozen", "after": 2, "seconds": FAR_AWAY},)),
     Fault("black video", ("video black", *LATE), ({"kind": "black", "after": 2, "seconds": FAR_AWAY},)),
     Fault("a move refused", (STEPS_USED_UP,), ({"kind": "refuse", "after": 2, "answers": ["error"]},)),
     Fault("out of range", ("out of range",), ({"kind": "refuse", "after": 2, "answers": ["out of range"] * 9},)),
     Fault("battery at the floor", ("battery",), ({"kind": "battery", "after": 2, "percent": 24.0},)),
-    Fault("program killed", (), act="SIGKILL"),
+    Fault("program killed", (), act="SIGKILL", landed_by=(BY_ITSELF,)),
     Fault("Ctrl-C", ("interrupted",), act="SIGINT"),
     Fault("two controllers", ("another controller", "were refused"), act="controller"),
 )
@@ -170,12 +178,26 @@ def disturb(fault: Fault, process: subprocess.Popen, drone: Started, came: threa
             stop.wait(1.0 / SPEED)
 
 
+def phase_at_end(folder: Path, process: subprocess.Popen, drone: Started, seconds: float) -> str:
+    """What the drone does when the log of a flight says how it ended; "" if it does not within so many seconds."""
+    log, end = folder / records.NAME, time.monotonic() + seconds
+    while time.monotonic() < end:
+        ended = process.poll() is not None
+        if log.exists() and b'"event": "end"' in log.read_bytes()[-5000:]:
+            return drone.ask("truth")["phase"]
+        if ended:
+            break
+        time.sleep(0.05)
+    return ""
+
+
 def fly_once(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int) -> dict[str, Any]:
     """A flight with this fault, and what came of it:
 
     came: whether the drone flew until the fault began; on_ground, inside: whether it ended on the ground, and stayed
     inside of the envelope; farthest: to the side and up or down, cm; reason: of the landing, in the log; explained:
-    whether that is the fault's; load: processes that wanted to run in the last minute, on average.
+    whether that is the fault's, the drone landed by what it had to, and was on the ground when the log said so, where
+    the link lived; load: processes that wanted to run in the last minute, on average.
     """
     ports = free_ports()
     drone.restart(settings(ports, seed, fault.simulated))
@@ -184,7 +206,8 @@ def fly_once(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
     disturbance = threading.Thread(target=disturb, args=(fault, process, drone, came, stop))
     disturbance.start()
     try:
-        process.communicate(timeout=120)
+        phase = phase_at_end(folder, process, drone, 120)
+        process.communicate(timeout=20)
         ended = True
     except subprocess.TimeoutExpired:
         process.kill()
@@ -198,10 +221,13 @@ def fly_once(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
     ends = records.events_of(records.read(folder / records.NAME), "end") if (folder / records.NAME).exists() else []
     reason = ends[-1]["reason"] if ends else ""
     if fault.act == "SIGKILL":
-        explained = not ends and truth["why_landed"] == "no command for 15 s"
+        explained = not ends
+    elif fault.name == "link dead for good":
+        explained = ended and bool(ends) and not ends[-1]["landed"]
     else:
-        said_so = bool(ends) and (ends[-1]["landed"] or fault.name == "link dead for good")
-        explained = ended and said_so and any(words in reason for words in fault.words)
+        explained = ended and bool(ends) and ends[-1]["landed"] and phase == "ground"
+    explained = explained and truth["why_landed"] in fault.landed_by
+    explained = explained and (not ends or any(words in reason for words in fault.words))
     return {
         "fault": fault.name,
         "seed": seed,
