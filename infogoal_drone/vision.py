@@ -167,7 +167,7 @@ def simulated_detector(truth_port: int) -> Detector:
 
 def yolo_detector(weights: Path) -> Detector:
     """A YOLO network of ultralytics with these weights, on the CPU. Raises `UserError` if the library or the file is
-    missing."""
+    missing, or the file holds none."""
     if not weights.is_file():
         raise UserError(f"weights = {str(weights)!r}: no such file; give the weights of a YOLO network (.pt or .onnx)")
     try:
@@ -180,14 +180,21 @@ def yolo_detector(weights: Path) -> Detector:
             "or of those whom you trust; an .onnx file holds numbers alone",
             file=sys.stderr,
         )
-    model = YOLO(str(weights))
+    try:
+        model = YOLO(str(weights))
+        names = tuple(model.names.values())
+    except Exception as error:  # ultralytics, torch and onnxruntime raise many kinds; the drone is on the ground.
+        raise UserError(
+            f"weights = {str(weights)!r}: cannot be read ({' '.join(str(error).split())}); give the weights of a YOLO "
+            "network (.pt or .onnx)"
+        ) from error
 
     def detect(image: np.ndarray) -> list[Detection]:
         (result,) = model.predict(np.ascontiguousarray(image[..., ::-1]), device="cpu", verbose=False)  # It takes BGR.
         rows = zip(result.boxes.cls.tolist(), result.boxes.xyxy.tolist(), result.boxes.conf.tolist(), strict=True)
         return [Detection(result.names[int(kind)], tuple(box), confidence) for kind, box, confidence in rows]
 
-    detect.names = tuple(model.names.values())
+    detect.names = names
     return detect
 
 
