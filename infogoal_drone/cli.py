@@ -29,7 +29,7 @@ class DroneFlags:
     """Column (0 to 35) and row (0 to 8) of the place of the generated shelf before which the simulated drone takes
     off."""
     speed: float = 1.0
-    """Simulated seconds in a second."""
+    """Simulated seconds in a second, 0.1 to 20."""
     seed: int = 0
     """Seed of the simulated drone's drift, and of what the policy draws."""
     host: str = "192.168.10.1"
@@ -138,8 +138,9 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, origin: t
         if not drone.yes:
             ask_to_take_off(envelope, drone.battery_floor)
 
-    shelf_seed = exported.about["generator_seed"] if exported is not None else 0
-    settings = Settings(**vars(drone), shelf_seed=shelf_seed)
+    about = exported.about if exported is not None else {}
+    shelf = {"shelf_seed": about.get("generator_seed", 0), "gathered": about.get("gathered", False)}
+    settings = Settings(**vars(drone), **shelf)
     outcome = run_mission(folder, flown, target, settings, record, drone.start if drone.simulate else origin, confirm)
     print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {typed(folder)}` draws it")
@@ -153,8 +154,10 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, origin: t
 def ask_to_take_off(envelope, battery_floor: int) -> None:
     """Show what a person must check, and wait for a yes. envelope: of `infogoal_drone.envelope`; battery_floor: per
     cent. Raises `UserError` for anything else."""
+    from infogoal_drone.envelope import TAKEOFF_RESERVE
+
     space = ", ".join(f"{far} cm free {where}" for where, far in envelope.centimetres().items())
-    print(CHECKS.format(space=space, battery=battery_floor + 10))
+    print(CHECKS.format(space=space, battery=battery_floor + TAKEOFF_RESERVE))
     try:
         answer = input("Type fly to take off: ")
     except EOFError:

@@ -16,11 +16,15 @@ from infogoal_jax.errors import require
 
 STEP = 20
 """Length of a move in cm; the least that the SDK takes [P]."""
+FARTHEST = 10**4
+"""Steps from where it hovered first that no flight makes."""
 MARGIN = 40
 """Centimetres around the outermost steps for what no command says: the hover drifts, moves end beside their place, and
 another controller may move the drone once before this one lands it."""
 MOVES = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}
 """Columns and rows that each move adds."""
+TAKEOFF_RESERVE = 10
+"""Per cent of the battery above its floor that a take-off needs."""
 LOWEST = 40
 """Centimetres that must lie below the drone after a move down, by its own sensor."""
 
@@ -39,9 +43,9 @@ class Envelope:
     """Steps down."""
 
     def check(self) -> None:
-        """Raise `UserError` for negative numbers of steps."""
+        """Raise `UserError` for numbers of steps out of range."""
         for name, steps in dataclasses.asdict(self).items():
-            require(steps >= 0, name, steps, "give a number of steps of 20 cm, 0 or more")
+            require(0 <= steps <= FARTHEST, name, steps, f"give a number of steps of 20 cm from 0 to {FARTHEST:,}")
 
     def centimetres(self) -> dict[str, int]:
         """How far the drone may ever be from where it hovered first, cm by direction, the margin included."""
@@ -98,7 +102,8 @@ class Limits:
     def check(self) -> None:
         """Raise `UserError` for values out of range."""
         require(self.steps > 0, "steps", self.steps, "give a whole number greater than 0")
-        require(15 <= self.battery_floor < 100, "battery_floor", self.battery_floor, "give 15 to 99 per cent")
+        most = 100 - TAKEOFF_RESERVE
+        require(15 <= self.battery_floor <= most, "battery_floor", self.battery_floor, f"give 15 to {most} per cent")
         require(0 < self.confidence <= 1, "confidence", self.confidence, "give a number in (0, 1]")
 
 

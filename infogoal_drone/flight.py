@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from infogoal_drone.envelope import STEP, Envelope, Interrupted, Limits, Signals, Whereabouts, allowed
+from infogoal_drone.envelope import STEP, TAKEOFF_RESERVE, Envelope, Interrupted, Limits, Signals, Whereabouts, allowed
 from infogoal_drone.link import Answer, Link
 from infogoal_drone.records import Log
 from infogoal_drone.vision import STALE_SECONDS, Detector, Picture, fault_of, seen
@@ -134,7 +134,7 @@ class Flight:
         self.wait(lambda: self.link.state()[0] != {}, self.patience(3.0))
         state, age = self.link.state()
         require(bool(state) and age < LINK_SECONDS, "drone", "no state", "let the firewall pass the state packets")
-        least = self.limits.battery_floor + 10
+        least = self.limits.battery_floor + TAKEOFF_RESERVE
         require(state["bat"] >= least, "battery", f"{state['bat']} %", f"charge it: {least} % or more for a take-off")
         picture = self.wait(self.trusted_picture, self.patience(PICTURE_SECONDS))
         require(bool(picture), "video", self.picture_fault, "point the camera at the shelf, in light, and try again")
@@ -171,7 +171,8 @@ class Flight:
             mask = allowed(self.envelope, self.place, self.moves, below)
             mask &= [move not in self.refused for move in self.moves]
             if not mask.any():
-                raise Landing("no move stays inside of the envelope")
+                refused = ": those that do were refused" if self.refused else ""
+                raise Landing(f"no move stays inside of the envelope{refused}")
             move = self.moves[self.policy(picture.small, mask)]
             self.check_link()
             self.check_state()

@@ -4,7 +4,6 @@ envelope, the detector and the log."""
 import contextlib
 import dataclasses
 import ipaddress
-import math
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +24,9 @@ from infogoal_jax.runs import disk
 from infogoal_jax.runs.disk import Place, decode
 from infogoal_jax.runs.folder import find_run
 from infogoal_jax.stopping import temporary
+
+SLOWEST, FASTEST = 0.1, 20.0
+"""Paces of a simulation: Ctrl-C is seen within a second; packets and images come one after the other."""
 
 
 class Asked(NamedTuple):
@@ -50,13 +52,15 @@ class Settings(DroneFlags):
 
     shelf_seed: int = 0
     """Seed of the generated shelf that the simulated drone sees."""
+    gathered: bool = False
+    """Whether the objects of a region stand together on it."""
 
     def check(self) -> None:
         """Raise `UserError` for values out of range, and for those that only a simulated or only a real drone has."""
         self.limits().check()
         usable = all(0 < port < 2**16 for port in self.ports) and len(set(self.ports)) == 3
         require(usable, "ports", self.ports, "give three different ones from 1 to 65535")
-        require(0 < self.speed < math.inf, "speed", self.speed, "give a number greater than 0")
+        require(SLOWEST <= self.speed <= FASTEST, "speed", self.speed, f"give {SLOWEST:g} to {FASTEST:g}")
         if self.simulate:
             from infogoal_jax.stand_ins.shelf import COLUMNS, ROWS
 
@@ -103,6 +107,7 @@ class About:
     generator_seed: int
     goal_names: tuple[str, ...]
     goal_objects: tuple[str, ...]
+    gathered: bool = False
 
 
 def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
@@ -174,7 +179,8 @@ def embedded(question: str, embeddings: str) -> np.ndarray:
 def flown_policy(policy: ExportedPolicy, asked: Asked, seed: int) -> Flown:
     """The exported policy with this goal; its code is drawn anew at every step, as in the evaluation. Raises
     `UserError` for a program that does not come to an end with a value for every move: better now than in the air."""
-    random, sampled = np.random.default_rng(seed), policy.about["samples_code"]
+    # The simulated drone draws from the streams 0 to 2 of a seed, the explorer from 4.
+    random, sampled = np.random.default_rng([seed, 3]), policy.about["samples_code"]
 
     def act(picture: np.ndarray, mask: np.ndarray) -> int:
         noise = random.normal(size=policy.about["code_size"]).astype(np.float32) if sampled else None
@@ -236,6 +242,7 @@ def simulated_drone(settings: Settings) -> Iterator[tuple[int, int]]:
         simulated_tello.SimulatedTello(
             first=tuple((shelf.FIRST + shelf.STEP * np.array(settings.start)).tolist()),
             shelf_seed=settings.shelf_seed,
+            gathered=settings.gathered,
             seed=settings.seed,
             speed=settings.speed,
             state_port=state_port,

@@ -91,7 +91,8 @@ class Body:
             self.nominal = self.motion.at(now)
             if now >= self.motion.ends:
                 self.phase, self.motion = self.motion.following, None
-                self.ground = FLOOR
+                if self.phase == "hovering":  # A take-off that was broken off ends on the stand.
+                    self.ground = FLOOR
         self.velocity = (self.nominal - before) / passed if passed > 0 else self.velocity
         if not self.in_air:
             self.drift, self.roll = np.zeros(2), 0.0
@@ -206,8 +207,10 @@ class Body:
 class Camera:
     """The camera before the shelf of this seed."""
 
-    def __init__(self, seed: int, random: np.random.Generator):
-        self.wall, self.places = shelf.furnished_wall(np.random.default_rng([seed, shelf.GENERATOR_VERSION]))
+    def __init__(self, seed: int, random: np.random.Generator, gathered: bool = False):
+        """gathered: whether the objects of a region stand together."""
+        furnishing = np.random.default_rng([seed, shelf.GENERATOR_VERSION])
+        self.wall, self.places = shelf.furnished_wall(furnishing, gathered)
         self.random = random
 
     def view(self, position: np.ndarray, roll: float) -> np.ndarray:

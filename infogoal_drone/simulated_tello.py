@@ -50,6 +50,8 @@ class SimulatedTello:
     """Port of the program to which state packets go."""
     video_port: int = 11111
     """Port of the program to which the video goes."""
+    gathered: bool = False
+    """Whether the objects of a region stand together on the shelf."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Process:
     """The simulated drone's sockets and clock around its body and camera."""
 
     def __init__(self, settings: SimulatedTello):
-        self.camera = Camera(settings.shelf_seed, np.random.default_rng([settings.seed, 2]))
+        self.camera = Camera(settings.shelf_seed, np.random.default_rng([settings.seed, 2]), settings.gathered)
         self.commands, self.truth = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self.out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         for one in (self.commands, self.truth, self.out):
@@ -115,7 +117,7 @@ class Process:
     def restart(self, settings: SimulatedTello) -> None:
         """A new flight before the same shelf: a fresh battery, no client, and these faults."""
         self.settings, self.random = settings, np.random.default_rng([settings.seed, 1])
-        self.body = Body(np.array(settings.first), np.random.default_rng(settings.seed), settings.battery)
+        self.body = Body(np.array(settings.first), np.random.default_rng([settings.seed, 0]), settings.battery)
         self.video_faults, self.began = VideoFaults(), time.monotonic()
         self.client: str | None = None
         self.awaiting: list[tuple[Any, str]] = []

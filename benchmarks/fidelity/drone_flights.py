@@ -44,7 +44,9 @@ def main() -> None:
     method = export(run, policy, run.seeds[0]).about["method"]
     episodes, inside_all = evaluate_inside(run, options.flights)
     shelf_seed, flown = run.config.env.generator_seed, []
-    drone = simulated_tello.start(simulated_tello.SimulatedTello(shelf_seed=shelf_seed))
+    drone = simulated_tello.start(
+        simulated_tello.SimulatedTello(shelf_seed=shelf_seed, gathered=run.config.env.gathered)
+    )
     try:
         for number, episode in enumerate(episodes):
             folder = options.out / f"flight_{number:03d}"

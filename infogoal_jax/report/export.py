@@ -84,6 +84,7 @@ def export_params(
         "moves": bool(acted.discrete),
         "interval": interval_of(env),
         "generator_seed": getattr(config.env, "generator_seed", 0),
+        "gathered": getattr(config.env, "gathered", False),
         "goal_names": list(env.goals.names) if listed else [],
         "goal_objects": list(getattr(env, "goal_objects", ())) if listed else [],
     }

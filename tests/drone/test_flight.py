@@ -246,6 +246,15 @@ def test_a_refused_move_is_not_tried_again_from_there(tmp_path):
     assert moves_of(drone) == ["right", "left", "right"]
 
 
+def test_where_all_that_is_left_was_refused_the_log_says_so(tmp_path):
+    flight, _ = make_flight(tmp_path, {"right": ["error"], "left": ["error"]})
+    flight.envelope = Envelope(1, 1, 0, 0)
+    assert "refused" in flight.fly().reason
+    flight, _ = make_flight(tmp_path / "again")
+    flight.envelope = Envelope(0, 0, 0, 0)
+    assert flight.fly().reason == "no move stays inside of the envelope"
+
+
 @pytest.mark.parametrize(("answer", "moves"), [("out of range", 3), ("error Auto land", 1), ("error No valid imu", 1)])
 def test_refusals_end_the_flight(tmp_path, answer, moves):
     flight, drone = make_flight(tmp_path, {name: [answer] * 9 for name in MOVES}, steps=9)

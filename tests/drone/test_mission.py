@@ -1,6 +1,7 @@
 """Before the take-off: questions, policies, libraries and ports that cannot be used are refused. And what a flight
 leaves behind: recordings that `infogoal data import` takes, and the policy that explores."""
 
+import json
 import os
 import signal
 import socket
@@ -121,11 +122,14 @@ REFUSED = {
     "steps": ("--steps=0", "--simulate"),
     "battery_floor": ("--battery-floor=5", "--simulate"),
     "confidence": ("--confidence=2", "--simulate"),
+    "battery_floor = 91": ("--battery-floor=91", "--simulate"),
     "left": ("--left=-1", "--simulate"),
+    "left = 20000": ("--left=20000", "--simulate"),
     "start = (99, 0)": ("--start", "99", "0", "--simulate"),
     "seed = -1": ("--seed=-1", "--simulate"),
     "speed": ("--speed=2",),
     "speed = inf": ("--speed=inf", "--simulate"),
+    "speed = 0.01": ("--speed=0.01", "--simulate"),
     "simulated": ("--simulated", "1", "2"),
     "simulated = (99999, 5)": ("--simulated", "99999", "5", "--simulate"),
     "weights": ("--weights=best.pt", "--simulate"),
@@ -143,6 +147,37 @@ def test_settings_that_cannot_be_flown_are_refused_before_anybody_is_asked(tmp_p
     out = tmp_path / "flight"
     assert main(["fly", str(policy), "--question", faults.QUESTION, "--out", str(out), *REFUSED[words]]) == 2
     assert words in capsys.readouterr().err and not out.exists()
+
+
+def test_a_policy_flies_before_the_shelf_that_it_learned_with(tmp_path, monkeypatch):
+    """A file of an earlier version says nothing of gathered objects: they were not."""
+    given = []
+
+    def run_mission(folder, flown, target, settings, *more):
+        given.append((settings.shelf_seed, settings.gathered))
+        return types.SimpleNamespace(reason="", steps=0, landed=True, found=True)
+
+    monkeypatch.setattr(mission, "run_mission", run_mission)
+    policy = faults.write_policy(tmp_path / "policy.npz")
+    members = dict(np.load(policy))
+    about = json.loads(str(members["about"])) | {"generator_seed": 5, "gathered": True}
+    np.savez(tmp_path / "gathered.npz", **members | {"about": np.array(json.dumps(about))})
+    for file in (policy, tmp_path / "gathered.npz"):
+        words = ["fly", str(file), "--question", faults.QUESTION, "--simulate", "--out", str(tmp_path / file.stem)]
+        assert main(words) == 0
+    assert given == [(0, False), (5, True)]
+
+
+def test_what_is_drawn_by_one_seed_is_not_the_same_twice(policy):
+    """The drift of the simulated drone, the noise of a policy's code, and the moves that explore."""
+    policy.about["samples_code"], noise = True, []
+    flown = mission.flown_policy(policy, mission.Asked(policy.goals[0], "mug"), 7)
+    policy.act = lambda picture, goal, mask, code: noise.append(code) or 0
+    flown.policy(np.zeros((48, 64, 3), np.uint8), np.ones(4, bool))
+    drawn = [noise[0][0], *(np.random.default_rng([7, stream]).normal() for stream in range(3))]
+    assert len({round(float(value), 6) for value in drawn}) == 4
+    explored = Explorer(7).random.normal()
+    assert not np.isclose(explored, drawn).any()
 
 
 def test_a_real_drone_needs_a_detector():

@@ -138,6 +138,23 @@ def test_it_lands_with_an_empty_battery(hovering):
     assert (hovering.phase, hovering.why_landed) == ("ground", "battery empty")
 
 
+def test_a_take_off_that_is_broken_off_ends_on_the_stand():
+    """Which is then still there, just below the drone's sensor."""
+    body = Body(FIRST, np.random.default_rng(0))
+    body.obey("takeoff", 0.0)
+    let_pass(body, 1.0)
+    body.obey("land", body.time)
+    let_pass(body, 5.0)
+    assert body.phase == "ground" and body.tof() == 10 and body.position[1] == body.stand_top
+
+
+def test_the_shelf_may_have_its_objects_gathered():
+    apart, gathered = (simulated_drone.Camera(0, np.random.default_rng(0), value).places for value in (False, True))
+    expected = shelf.furnish(np.random.default_rng([0, shelf.GENERATOR_VERSION]), True)
+    assert all((gathered[name] == expected[name]).all() for name in expected)
+    assert any((apart[name] != expected[name]).any() for name in expected)
+
+
 def test_drift_is_that_of_the_hovering_dataset(hovering):
     drift = []
     for _ in range(4000):
@@ -285,6 +302,18 @@ def test_yolo(monkeypatch, weights):
     vision.check_known("mug", detect)
     with pytest.raises(UserError, match="Did you mean 'mug'"):
         vision.check_known("mgu", detect)
+
+
+def test_weights_that_cannot_be_read(monkeypatch, weights):
+    """Whatever ultralytics raises, the refusal is one line and names the file."""
+
+    def fail(path):
+        raise RuntimeError("Invalid magic number;\ncorrupt file?")
+
+    monkeypatch.setitem(sys.modules, "ultralytics", SimpleNamespace(YOLO=fail))
+    with pytest.raises(UserError, match="weights = .*best.pt.*Invalid magic number; corrupt file") as refused:
+        vision.yolo_detector(weights)
+    assert "\n" not in str(refused.value)
 
 
 def test_missing_weights_and_missing_ultralytics(monkeypatch, tmp_path, weights):
