@@ -20,6 +20,7 @@ from infogoal_jax import agents, envs, make_train, policy_file, presets
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.cli.export import actions_in_words
 from infogoal_jax.cli.main import main
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError, counted
 from infogoal_jax.hyperparameters import with_values
@@ -126,6 +127,15 @@ def test_the_file_says_what_it_is_for(shelf, exported):
     assert actions_in_words(about) == counted(len(about["actions"]), "action")
     assert len(about["goal_names"]) == len(about["goal_objects"]) == shelf.train.env.goals.num_goals
     assert set(about["goal_objects"]) <= set(hand_made_frames.OBJECTS)
+
+
+def test_the_file_says_which_generated_shelf_it_is_for(exported, tmp_path):
+    """The simulated drone flies before that one."""
+    assert (exported.about["generator_seed"], exported.about["gathered"]) == (0, False)
+    task = EmbodiedQAConfig(episode_length=15, generator_seed=3, gathered=True)
+    case = case_of(hand_made_frames.qa_config("infogoal", env=task, **SHORT), hand_made_frames.qa())
+    about = export.export_params(*case, tmp_path / "policy.npz", {}).about
+    assert (about["generator_seed"], about["gathered"]) == (3, True)
 
 
 def test_the_file_has_a_row_for_each_goal_where_several_images_show_one(tmp_path):
