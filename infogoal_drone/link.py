@@ -143,7 +143,7 @@ class Link:
                 if state.get("time") != self.motor_time or state.get("vgz") != 0:
                     self.at_rest.clear()
                 self.at_rest.append(now)
-                self.motor_time = state.get("time")
+                self.motor_time = state.get("time", -1)  # A packet that does not say so shows no rest.
                 self.state_packet, self.state_time = state, now
                 self.log.write("state", now, packet=state)
             frame = self.reader.frame if self.reader is not None else None
