@@ -62,7 +62,8 @@ class Landing(Exception):  # noqa: N818, it is no error
 Policy = Callable[[np.ndarray, np.ndarray], int]
 """A reduced picture uint8 [H, W, 3] and the allowed moves bool [A] to a move."""
 Visit = Callable[[Picture, Whereabouts, set[str], str], None]
-"""Is told the picture, the place, the objects in view and the move that was made from there ("" for the last)."""
+"""Is told the picture, the place, the objects in view and the move that follows ("" for the last); again from the same
+place where that is not made."""
 
 
 class Flight:
@@ -174,16 +175,16 @@ class Flight:
                 refused = ": those that do were refused" if self.refused else ""
                 raise Landing(f"no move stays inside of the envelope{refused}")
             move = self.moves[self.policy(picture.small, mask)]
+            self.tell(picture, in_view, move)
             self.check_link()
             self.check_state()
             age = (time.monotonic() - picture.time) * self.link.speed
-            if age > STALE_SECONDS:  # A slow detector, or state packets that were waited for.
+            if age > STALE_SECONDS:  # A slow detector or disk, or state packets that were waited for.
                 late += age
                 if late > self.patience(PICTURE_SECONDS):
-                    raise Landing(f"video stale: it is {age:.1f} s old when the move has been chosen")
+                    raise Landing(f"video stale: the picture is {age:.1f} s old when the move could be made")
                 continue
             late = 0.0
-            self.tell(picture, in_view, move)
             self.make(move, picture)
 
     def make(self, move: str, picture: Picture) -> None:

@@ -209,9 +209,9 @@ class Recorder:
             raise cannot_write(folder, error.strerror) from error
 
     def visit(self, picture: Picture, place: Whereabouts, in_view: set[str], move: str) -> None:
-        """Keep a picture. move: made from there, "" after the last."""
+        """Keep a picture. move: chosen there, "" after the last."""
         if self.last is not None and place == self.last[0]:
-            self.rows.pop()  # Its move was refused: this picture stands for the place.
+            self.rows.pop()  # Its move was not made: this picture stands for the place.
         elif self.last is not None and place != self.last[0].after(self.last[1], "made"):
             self.stopped = True
         if self.stopped or not place.certain:

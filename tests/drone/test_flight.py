@@ -293,17 +293,18 @@ def test_pictures_that_cannot_be_trusted_end_it(tmp_path, monkeypatch):
     assert flight.fly().reason == "video frozen"
 
 
-def test_no_move_is_made_on_a_picture_that_became_old(tmp_path, monkeypatch):
-    """While the detector took its time, or state packets were waited for."""
+@pytest.mark.parametrize("where", ["policy", "visit"])
+def test_no_move_is_made_on_a_picture_that_became_old(tmp_path, monkeypatch, where):
+    """While the policy was thinking, or a disk kept the picture."""
     monkeypatch.setattr(flight_module, "STALE_SECONDS", 1.0)
     flight, drone = make_flight(tmp_path, steps=2, speed=10.0)
     pauses = [0.2, 0.0, 0.2, 0.0]
 
-    def think(picture, mask):
+    def pause(*given):
         time.sleep(pauses.pop(0) if drone.in_air and pauses else 0.0)
-        return go_right(picture, mask)
+        return go_right(*given) if where == "policy" else None
 
-    flight.policy = think
+    setattr(flight, where, pause)
     flight.fly()
     steps = events_of(read(tmp_path / NAME), "step")
     assert len(steps) == 2 and all(step["latency"] < 0.2 for step in steps)
