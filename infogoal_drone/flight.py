@@ -129,18 +129,18 @@ class Flight:
         self.log.write("end", reason=reason, found=self.found, landed=landed, **counts)
 
     def check_on_ground(self) -> None:
-        """Raise `UserError` unless battery, state and video allow a take-off."""
+        """Raise `UserError` unless video, state and battery allow a take-off."""
         self.link.connect(self.signals.asked)
         self.signals.check()
-        self.wait(lambda: self.link.state()[0] != {}, self.patience(3.0))
-        state, age = self.link.state()
-        require(bool(state) and age < LINK_SECONDS, "drone", "no state", "let the firewall pass the state packets")
-        least = self.limits.battery_floor + TAKEOFF_RESERVE
-        require(state["bat"] >= least, "battery", f"{state['bat']} %", f"charge it: {least} % or more for a take-off")
         picture = self.wait(self.trusted_picture, self.patience(PICTURE_SECONDS))
         require(bool(picture), "video", self.picture_fault, "point the camera at the shelf, in light, and try again")
         self.rehearse(picture)
         self.before_move = picture.small
+        # Last, because the first use of a network takes seconds.
+        heard = self.wait(lambda: self.link.state()[1] < LINK_SECONDS, self.patience(3.0))
+        require(heard, "drone", "no state", "let the firewall pass the state packets")
+        battery, least = self.link.state()[0]["bat"], self.limits.battery_floor + TAKEOFF_RESERVE
+        require(battery >= least, "battery", f"{battery} %", f"charge it: {least} % or more for a take-off")
         self.signals.check()
 
     def rehearse(self, picture: Picture) -> None:

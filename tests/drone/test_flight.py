@@ -286,6 +286,20 @@ def test_it_is_refused_on_the_ground(tmp_path, packet):
     assert not drone.sent and "refused on the ground" in reason_in_log(tmp_path)
 
 
+def test_a_link_that_dies_while_a_network_is_tried_on_the_ground_stays_there(tmp_path):
+    """Its first use takes seconds."""
+    flight, drone = make_flight(tmp_path)
+
+    def die(image):
+        drone.age = 3.0
+        return []
+
+    flight.detect = die
+    with pytest.raises(UserError, match="no state"):
+        flight.fly()
+    assert not drone.sent
+
+
 def test_pictures_that_cannot_be_trusted_end_it(tmp_path, monkeypatch):
     faults = iter(["", ""])
     monkeypatch.setattr(flight_module, "fault_of", lambda *arguments: next(faults, "frozen"))
