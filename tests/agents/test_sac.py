@@ -90,6 +90,27 @@ def test_temperature_rises_where_entropy_is_below_its_target(target, rises):
     assert (slope["log_temperature"] < 0) == rises
 
 
+def test_actor_and_temperature_learn_from_their_own_losses():
+    """The temperature from how far the entropy is from its target, the actor from the temperature as it is."""
+    agent, batch = agent_of("sac"), random_batch()
+    params, state = started(agent)
+    params = params | {"log_temperature": jnp.float32(0.4)}
+    hyper = sac.SACHyperparameters(target_entropy=-0.7, initial_temperature=0.2)
+
+    def losses(own):
+        whole, metrics = agent.loss(own, params, batch, state, hyper, jax.random.key(0))
+        return jnp.stack([whole, metrics["actor_loss"]]), metrics
+
+    slopes, metrics = jax.jit(jax.jacrev(losses, has_aux=True))(params)
+    far = metrics["temperature"] * (metrics["entropy"] + 0.7 * A)
+    np.testing.assert_allclose(slopes["log_temperature"], [far, 0.0], rtol=1e-5)
+    for whole, own in jax.tree.leaves(
+        jax.tree.map(tuple, slopes["actor"]), is_leaf=lambda leaf: isinstance(leaf, tuple)
+    ):
+        np.testing.assert_allclose(whole, own, rtol=1e-4, atol=1e-7)
+    assert not any(leaf[1].any() for leaf in jax.tree.leaves(slopes["critic"]))
+
+
 def test_policy_is_drawn_from_unless_there_is_no_noise():
     """Without noise an action is tanh(mean) under every key; with it the spread is the policy's own, however much noise
     is asked for; with probability epsilon an action is uniform."""
