@@ -85,6 +85,40 @@ def test_beta_follows_equation_15(rule, accuracy, expected):
     )
 
 
+def loss_of(kind: str, std: float, negative: list, negative_weight: list):
+    """Loss and metrics of three pairs, of which the last is none, of codes at 0, 1, 3 and -2; beta is 0.5."""
+    learner = infogoal.make(infogoal.InfoGoalConfig(loss=kind, latent_size=1, num_negatives=2))
+    codes = GoalCode(jnp.array([[0.0], [1.0], [3.0], [-2.0]]), jnp.full((4, 1), std))
+    pairs = GoalPairs(
+        anchor=jnp.array([0, 0, 1]),
+        positive=jnp.array([1, 1, 2]),
+        contrast=jnp.array([[0, 0], [0, 0], [1, 1]]),
+        negative=jnp.array(negative),
+        positive_weight=jnp.array([1.0, 1.0, 0.0]),
+        negative_weight=jnp.array(negative_weight),
+    )
+    state = infogoal.InfoGoalState(jnp.asarray(0.5), jnp.ones(()))
+    batch = hand_made.learner_batch(codes.__getitem__, pairs=pairs)
+    return learner.loss({}, state, batch, InfoGoalHyperparameters(), jax.random.key(0))[:2]
+
+
+@pytest.mark.parametrize("kind", ["nce", "ratio"])
+def test_loss_is_the_bound_and_the_kl_of_what_took_part(kind):
+    """Eq. 13 by hand. One pair has one negative: scores -1 and -3. Another has none: it is in the KL of anchors and
+    positives, and not in the bound."""
+    found, metrics = loss_of(kind, 1e-3, [[2, 3], [3, 2], [0, 3]], [[1.0, 0.0], [0.0, 0.0], [1.0, 1.0]])
+    of_zero = 0.5 * (1e-6 - 1.0) - np.log(1e-3)
+    kl = np.mean([of_zero, of_zero + 0.5 * 1.0**2, of_zero + 0.5 * 3.0**2])  # Of anchors, positives and negatives.
+    np.testing.assert_allclose(metrics["kl"], kl, rtol=1e-5)
+    expected = np.log1p(np.exp(-2.0)) + 0.5 * kl if kind == "nce" else np.exp(-2.0) + 0.5 * kl / np.log(2.0)
+    np.testing.assert_allclose(found, expected, rtol=2e-3)  # Codes have some noise.
+
+
+def test_ties_count_as_wrong():
+    _, metrics = loss_of("nce", 0.0, [[1, 2], [1, 2], [0, 3]], [[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    assert metrics["accuracy"] == 0
+
+
 def test_beta_never_leaves_zero_to_one():
     for start, accuracy in ((0.0, 0.0), (1.0, 1.0)):
         hyper = InfoGoalHyperparameters(beta_step=10.0)

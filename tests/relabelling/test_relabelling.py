@@ -20,9 +20,9 @@ from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig, any_known, soon
 from infogoal_jax.relabelling.mixed import MixedConfig
-from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.relabelling.relabelling import Relabelling, Waypoints
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import experience, parts, update
+from infogoal_jax.train import costs, experience, parts, update
 from infogoal_jax.train.relabelled import with_relabelled_goals
 
 DRAWS = 4000
@@ -299,3 +299,32 @@ def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
     goal, way = jax.tree.map(np.asarray, drawn(unknown, jnp.zeros(300, jnp.int32)))
     assert set(goal.tolist()) == {2, 5, 6, 7} and (way.low_goal == -1).all()
     np.testing.assert_array_equal(way.goal, np.where(goal == 2, 2, -1))  # Not the goal of the episode.
+
+
+def test_waypoints_are_steps_of_their_own_row():
+    rows = rows_of(np.ones((2, 3)), np.arange(1, 9).reshape(2, 4, 1))
+    made = relabellings.registry.entry("mixed").make(MixedConfig(subgoal_steps=1))
+    row, start = jnp.ones(300, jnp.int32), jnp.zeros(300, jnp.int32)
+    goal, way = jax.jit(lambda rows: made.costs(jax.random.key(0), made.prepare(context(rows)), row, start, start))(
+        rows
+    )
+    assert set(goal.tolist()) == {6, 7, 8} and (way.step == 1).all() and (way.goal == 6).all()
+
+
+def test_a_step_costs_1_until_the_goal_and_a_failure_for_ever():
+    """Of steps on a line: one that reaches its goal, one that begins at it, one that fails."""
+    places = jnp.array([[[0.0], [1.0], [2.0], [3.0]]])
+    given = SimpleNamespace(record=places, observation=places, desired_goal=jnp.full((1, 3, 1), 9.0))
+    way = Waypoints(jnp.zeros((3, 1)), jnp.array([2, 2, 3]), jnp.zeros((3, 1)))
+    drawn = Relabelling(None, None, costs=lambda key, table, row, step, goal: (goal, way))
+    env = SimpleNamespace(reached=lambda record, goal: jnp.abs(record - goal)[..., 0] < 0.1)
+    setup = parts.Setup(SimpleNamespace(relabelling=drawn), SimpleNamespace(discount=0.75), env)
+    row, step = jnp.zeros(3, jnp.int32), jnp.arange(3)
+    batch = replay.Transitions(
+        None, None, None, jnp.array([[1.0], [1.0], [9.0]]), None, jnp.ones((3, 1)), jnp.zeros(3, bool), step == 2
+    )
+    memory = SimpleNamespace(buffer=given, relabelling=None)
+    found = costs.sample_costs(setup, memory, jax.random.key(0), batch, row, step)
+    np.testing.assert_allclose(found["external"][:, 0], [-1.0, 0.0, -1.0 / (1.0 - 0.75)])
+    assert found["transitions"].terminated.tolist() == [False, True, True]
+    assert found["waypoints"][2][:, 0].tolist() == [2.0, 2.0, 3.0]
