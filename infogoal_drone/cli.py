@@ -139,8 +139,8 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, origin: t
             ask_to_take_off(envelope, drone.battery_floor)
 
     about = exported.about if exported is not None else {}
-    shelf = {"shelf_seed": about.get("generator_seed", 0), "gathered": about.get("gathered", False)}
-    settings = Settings(**vars(drone), **shelf)
+    shelf_seed, gathered = about.get("generator_seed", 0), about.get("gathered", False)
+    settings = Settings(**vars(drone), shelf_seed=shelf_seed, gathered=gathered)
     outcome = run_mission(folder, flown, target, settings, record, drone.start if drone.simulate else origin, confirm)
     print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {typed(folder)}` draws it")

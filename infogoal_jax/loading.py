@@ -354,16 +354,17 @@ def load_environment(config: TrainConfig, env: Any = None):
         check_combination(config)
         env = envs.load(config.task, config.env)
     check_environment(config, env)
-    if is_foreign(type(env.unwrapped)):
+    foreign = is_foreign(type(env.unwrapped))
+    if foreign:
         check_contract(env)
     if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
     if config.desired_goals == "all" and env.goals.finite:
         listed = np.flatnonzero(env.goals.listed_mask).astype(np.int32)  # A search evaluates some of them alone.
         env = env.with_goals(env.goals.replace(desired=jax.device_put(listed)))
-    if is_foreign(type(env.unwrapped)):
+    if foreign:
         check_starts(env)
-    if is_foreign(type(env.unwrapped)) or not env.goals.finite:  # Robots of a user's, under the package's own classes.
+    if foreign or not env.goals.finite:  # Robots of a user's, under the package's own classes.
         check_reached(env)
     check_combination(config, env)
     if not env.simulated and not env.goals.finite and env.goals.use_of is not None:

@@ -42,11 +42,8 @@ def success_table(online: list[jaxgcrl.Outcome], offline: list[ogbench.Outcome])
         marks |= found
         data[task] = "; ".join(filter(None, [*ogbench.data_in_words(outcomes), ogbench.corruption_in_words(outcomes)]))
     if shown:
-        after = " or ".join(f"{mark:,}" for mark in sorted(marks))
-        machines = machines_in_words(outcome.machine for outcome in shown)
-        notes["OGBench's"] = (
-            f"after {after} updates, {usual} seeds; {machines}. Goals as in training, held out, corrupted."
-        )
+        after, machines = ogbench.updates_in_words(marks), machines_in_words(outcome.machine for outcome in shown)
+        notes["OGBench's"] = f"after {after}, {usual} seeds; {machines}. Goals as in training, held out, corrupted."
     rows = [
         [f"{task}, `{agent}`", *(own.get(encoder, "") for encoder in ENCODERS)] for (task, agent), own in cells.items()
     ]

@@ -141,9 +141,13 @@ def last_common(sides: dict[str, list[Outcome]]) -> int:
 
 def foot(outcomes: list[Outcome], marks: set[int]) -> str:
     """The line below a table: after how many updates, on which data, where and when."""
-    after = " or ".join(f"{mark:,}" for mark in sorted(marks))
     found = "; ".join([*data_in_words(outcomes), machines_in_words(outcome.machine for outcome in outcomes)])
-    return f"{found[:1].upper()}{found[1:]}." + (f" Success after {after} updates." if after else "")
+    return f"{found[:1].upper()}{found[1:]}." + (f" Success after {updates_in_words(marks)}." if marks else "")
+
+
+def updates_in_words(marks: set[int]) -> str:
+    """`15,000 updates`."""
+    return f"{' or '.join(f'{mark:,}' for mark in sorted(marks))} updates"
 
 
 def data_in_words(outcomes: list[Outcome]) -> list[str]:
@@ -233,9 +237,8 @@ def encoders(outcomes: list[Outcome]) -> str:
     """Success of goal encoders over several agents, and how it was measured."""
     usual = max(len(outcome.seeds) for outcome in outcomes)
     cells, marks = encoder_cells(outcomes, usual)
-    goals = "goals as in training, held out" + "".join(
-        f", all {told}" for told in [corruption_in_words(outcomes)] if told
-    )
+    told = corruption_in_words(outcomes)
+    goals = "goals as in training, held out" + (f", all {told}" if told else "")
     said = f"{foot(outcomes, marks)} {usual} seeds. A cell: {goals}."
     learners = dict.fromkeys(learner for own in cells.values() for learner in own)
     rows = [[learner, *(own.get(learner, "") for own in cells.values())] for learner in learners]

@@ -222,7 +222,7 @@ def fly_once(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
     reason = ends[-1]["reason"] if ends else ""
     if fault.act == "SIGKILL":
         explained = not ends
-    elif fault.name == "link dead for good":
+    elif fault.landed_by == (BY_ITSELF,):
         explained = ended and bool(ends) and not ends[-1]["landed"]
     else:
         explained = ended and bool(ends) and ends[-1]["landed"] and phase == "ground"

@@ -287,13 +287,11 @@ def faults_of_ends(members: Mapping[str, np.ndarray], found: Mapping[str, np.nda
         return
     terminals = found.get("terminals")
     if name == "valids" and terminals is not None and len(terminals) == len(marks):
-        # OGBench marks the last observation of an episode and the one before; a raw file the last alone.
-        near = ~marks.astype(bool) | ~np.append(marks[1:], 1).astype(bool)
-        for row in np.flatnonzero(np.where(marks == 0, terminals == 0, (terminals == 1) & ~near))[:1]:
-            yield (
-                f"terminals[{row}]",
-                f"is {terminals[row]:g}, but episodes end elsewhere by valids; leave one of both out",
-            )
+        # The last observation of an episode has to be marked there too; OGBench marks the one before as well.
+        last = marks == 0
+        for row in np.flatnonzero((terminals < last) | (terminals > last | np.append(last[1:], False)))[:1]:
+            given = f"is {terminals[row]:g}, but episodes end elsewhere by valids"
+            yield f"terminals[{row}]", f"{given}; leave one of both out"
     left = len(marks) - 1 - ends[-1]
     if left and name in found:
         yield f"{name}[{len(marks) - 1}]", f"is {1 - end}: the last {left:,} {what} belong to no episode; give {end}"

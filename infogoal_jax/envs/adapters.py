@@ -29,6 +29,7 @@ from jax import dtypes
 
 from infogoal_jax import checks
 from infogoal_jax.data.episodes import Episodes
+from infogoal_jax.envs.contract import check_all_finite
 from infogoal_jax.envs.goal_task import Episode, GoalTask
 from infogoal_jax.errors import UserError, nearest, renamed, require, require_known, shown
 from infogoal_jax.field_types import LARGEST_WHOLE
@@ -528,7 +529,7 @@ def drawn_goals(task: AdaptedTask, count: int) -> np.ndarray:
     keys = jax.random.split(from_seed(np.uint32(0)), count)
     drawn, finite = map(np.asarray, jax.jit(jax.vmap(begun))(keys))
     remedy = "observe and achieve finite numbers; `hidden` leaves out places of the observation"
-    require(bool(finite.all()), "env.reset", f"not finite at {1 - finite.mean():.0%} of the starts", remedy)
+    check_all_finite("env.reset", finite, remedy)
     return drawn
 
 

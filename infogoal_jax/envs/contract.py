@@ -202,10 +202,14 @@ def check_starts(env: Environment) -> None:
             check_desired(env.goals, recorded, "env.recorded.desired_goal", "give recordings for training goals")
         names = ("env.begin", "env.observation", "env.begin") if isinstance(env, GoalTask) else ("env.observe",)
         for name, those in zip(names, finite, strict=True):
-            share = 1 - np.asarray(those).mean()
-            require(share == 0, name, f"not finite at {share:.0%} of the starts", "return finite numbers")
+            check_all_finite(name, np.asarray(those), "return finite numbers")
         outside = np.asarray(cells)[(cells < 0) | (cells >= env.num_cells)][:1].tolist()
         require(not outside, "env.cell_of", outside, f"give cells from 0 to below env.num_cells = {env.num_cells}")
+
+
+def check_all_finite(name: str, finite: np.ndarray, remedy: str) -> None:
+    """Raise `UserError`, naming what gave the numbers, unless they are finite at all of these starts, bool [N]."""
+    require(bool(finite.all()), name, f"not finite at {1 - finite.mean():.0%} of the starts", remedy)
 
 
 def check_reached(env: Environment) -> None:

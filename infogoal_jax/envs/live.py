@@ -411,8 +411,7 @@ class Simulator:
             same = same and row[2:] == alone[number][2:]
             require(same, "make", self.name, f"goes elsewhere {where} when put back; {remedy}")
             if number + 1 < len(alone):
-                self.reset(2)
-                self.step(-actions[number])
+                self.following(self.reset(2), -actions[number])
                 row = self.following(row, actions[number])
 
 

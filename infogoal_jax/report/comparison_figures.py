@@ -162,9 +162,10 @@ def check_same_task(runs: list[Run]) -> None:
 def titles_of(runs: list[Run]) -> list[str]:
     """The names of the runs' methods, behind those of their agents where these differ; where two are of the same, with
     the end of the path of the folder or the file that tells them apart, or with the name of a shipped policy."""
+    names = [presets.method_title(run.config) for run in runs]
     agents = [presets.names_of(run.config)["agent"] for run in runs]
-    told = [f"{agent}, " if len(set(agents)) > 1 else "" for agent in agents]
-    names = [agent + presets.method_title(run.config) for agent, run in zip(told, runs, strict=True)]
+    if len(set(agents)) > 1:
+        names = [f"{agent}, {name}" for agent, name in zip(agents, names, strict=True)]
     places = [(run.name,) if run.name.startswith(PREFIX) else Path(os.path.abspath(run.name)).parts for run in runs]
     titles = []
     for name, place in zip(names, places, strict=True):
